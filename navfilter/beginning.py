@@ -90,12 +90,12 @@ class Beginning:
         twin, self.twin = self.twin, None
         if twin is None or twin.again != learning.again:
             # in place: what runs over this filter goes on with it
-            tried = Twin(nav, learning.again, Worker(threads=False)) if learning.again.given_up else None
-            if tried is None or not learning.is_no_better(tried.arrived().filter):
+            tried = Twin(nav, learning.again, Worker(threads=False)) if learning.compares else None
+            if tried is None or not learning.is_no_better(tried.arrived().learning):
                 _begin_again(nav, learning.again, learning.early_s, learning.early_s)
             return
         other = twin.arrived()
-        if not (learning.again.given_up and learning.is_no_better(other.filter)):
+        if not (learning.compares and learning.is_no_better(other.learning)):
             _change_places(nav, other)
         self._worker.later(partial(self._part_with, other))
 

@@ -16,8 +16,9 @@ from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.lane_choice import ChoiceMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.sensor_clock import Ahead
+from navfilter.learning.conflict import Stretches
 from navfilter.learning.kept import Kept, Rows
-from navfilter.learning.learner import LearnerMemory
+from navfilter.learning.learner_memory import LearnerMemory
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener_memory import Hop, ListenerMemory
 from navfilter.learning.posterior import Line
@@ -82,7 +83,20 @@ class LanesMemory:
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Reckoned, Aside, Scatter, Turns),
     *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived, Ahead),
-    *(LearningMemory, Kept, Rows, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
+    *(
+        LearningMemory,
+        Kept,
+        Rows,
+        Again,
+        Stretches,
+        Change,
+        ListenerMemory,
+        Hop,
+        RestMemory,
+        LearnerMemory,
+        Line,
+        Spectrum,
+    ),
 )
 
 

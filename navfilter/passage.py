@@ -127,12 +127,13 @@ class Passage:
         self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
-        self._opened = np.empty((READINGS, 2 + most))
         self._same = self._repeated()
         driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
         # beams have more directions than an ear of the kernel holds
         heard = all(listener.ear.size == listen.EAR for listener in nav.learning.listeners.values())
         self._steady = driven and heard and nav.learning.rest is None
+        noted = max([1 + most, *(len(listener.memory.ring) for listener in nav.learning.listeners.values())])
+        self._opened = np.empty((READINGS, 1 + noted))
         self.at, self.done, self._kept, self._until = 0, done, done, len(self._ends)
         self._begin = self._end = 0
         self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 6), np.int64)
@@ -307,8 +308,7 @@ class Passage:
         learning = self.nav.learning
         ears = np.zeros((len(self._channels), listen.EAR))
         for i, channel in enumerate(self._channels):
-            if channel.name in learning.listeners:
-                ears[i] = learning.listeners[channel.name].ear
+            ears[i] = learning.ear(channel.name)
         return learning.fed_back, ears, np.array([channel.places for channel in self._channels]), self._opened
 
     def _heed(self) -> None:
@@ -436,7 +436,7 @@ class Passage:
             listener = self.nav.learning.listeners.get(channel.name)
             mine = np.flatnonzero(which[first:] == i) + first if listener is not None else ()
             if listener is not None and len(mine):
-                heard = self._opened[mine, : 2 + channel.axes]
+                heard = self._opened[mine, : 1 + len(listener.memory.ring)]
                 listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
 
 

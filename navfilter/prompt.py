@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["Prompt", "prompts"]
 
 Array = NDArray[np.float64]
-_NO_EAR, _NO_RING, _NO_CURSOR = np.zeros(listen.EAR), np.zeros((1, 1)), np.zeros(1, np.int64)
+_NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
 _NO_HEADS, _NO_VALUES = np.empty((0, COLUMNS)), np.empty((0, 1))
 
 
@@ -166,9 +166,9 @@ class Prompt:
             self._facts[stretch.KEPT_AS] = kept.names.index(self._name)
         self._filter, self._memory, self._channel, self._kept = filter, memory, channel, kept
         self._watch, self._ahead_s, self._due_s = nav.watches[self._name], filter.ahead_s, -math.inf
-        listener, ear, ring, cursor = learning.listeners.get(self._name), _NO_EAR, _NO_RING, _NO_CURSOR
+        listener, ear, ring, cursor = learning.listeners.get(self._name), learning.ear(self._name), _NO_RING, _NO_CURSOR
         if listener is not None:
-            ear, ring, cursor = listener.ear, listener.memory.ring, listener.memory.cursor
+            ring, cursor = listener.memory.ring, listener.memory.cursor
         self._ear, self._learning = ear, None if listener is None or not listener.learns else listener.memory
         facts = self._facts
         facts[stretch.CHANNEL], facts[stretch.TICK_S] = list(filter.channels).index(self._name), channel.period_s

@@ -1127,15 +1127,30 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     at, capacity = places, ring.shape[1]
     K, res, near = mem[at[1] : at[2]].reshape(n, a), mem[at[3] : at[4]], mem[at[7] : at[8]].reshape(a, 9 + par)
     used, C_nb, own = mem[at[8] + 2] != 0, nav[6:15].reshape(3, 3), slice(start, start + errors)
+    (still, late_s, clock, _, asked), axes = mount[:5], mount[5:].reshape(-1, 3)
     carry(undone, mem[: m * m].reshape(m, m))
     d = K @ res * used
+    if asked:
+        off, variance = mem[at[8] + 3 :][:a], mem[at[8] + 3 + a :][:a]
+        told = variance > 0
+        undone[-1] -= 0.5 * np.sum(np.minimum(off[told] ** 2 / variance[told], 25.0) + np.log(variance[told]))
     if kind:
         before = x[start - 9 : start - 9 + errors] - d[own]
         closed = mem[at[8] + 3 : at[8] + 3 + a] + C @ before
-        value = (
-            closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
-        )
-        for column in [*[np.full(a + 1, np.nan)] * min(ticks - 1, capacity), [*value, undone[2 * m]]]:
+        constants = (x[start - 9 + errors :] - d[start + errors :])[:par] if len(ring) > a + 1 else np.zeros(0)
+        if 0 <= clock < constants.size:
+            late_s = late_s + constants[int(clock)]
+        gone = late_s * (undone[3:6] - 0.5 * late_s * undone[m + 3 : m + 6])
+        open_loop = {
+            1: undone[[8]],
+            2: near[:, :3] @ (undone[:3] - gone),
+            3: axes @ (undone[m : m + 3] - late_s * undone[m + 6 : m + 9]) if kind == 3 else None,
+        }
+        value = closed + open_loop[kind][:a]
+        if kind == 3 and np.linalg.norm(closed + axes @ C_nb.T @ (nav[3:6] - d[3:6])) < still:
+            value[:] = np.nan
+        noted = [*value, undone[2 * m], *constants, *(near[:, 9:].ravel() if constants.size else ())]
+        for column in [*[np.full(len(ring), np.nan)] * min(ticks - 1, capacity), noted]:
             ring[:, cursor[0] % capacity] = column
             cursor[0] += 1
     if not used:
@@ -1928,11 +1943,12 @@ def stretch(
     def listened(e, i, spot, note, count, t):
         """Whether there is something to learn."""
         a, mem, once = spot[0], bench[spot[15] : spot[16]], np.zeros(1, int)
-        C, value = bench[spot[20] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
-        listen(undone, mem, spot[:8], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
+        C = bench[spot[20] :][: a * spot[5]].reshape(a, spot[5])
+        value = np.zeros((max(a + 1, int(ears[i, 11])), 1))
+        listen(undone, mem, spot[:8], where[i], nav, C, x, ears[i, 0], ears[i, 8:], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]
         if ears[i, 0]:
-            opened[e, 1 : 2 + a] = value[:, 0]
+            opened[e, 1 : 1 + len(value)] = value[:, 0]
         return ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn)
 
     def full(size):

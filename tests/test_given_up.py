@@ -20,7 +20,7 @@ from navfilter.evaluation.surfacing import evidence
 from navfilter.filter.filter import Filter
 from navfilter.filter.memory import differences
 from navfilter.kernels import listen
-from navfilter.learning import schedule
+from navfilter.learning import conflict, schedule
 from navfilter.learning.conflict import CONTRADICTED, departure, is_near
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import stage
@@ -114,7 +114,8 @@ def speaks(against_described):
 def few_hops(monkeypatch):
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (16.0, 40.0))
     monkeypatch.setattr(LearningSchedule, "REVISED_S", 80.0)
-    monkeypatch.setattr(schedule, "departure", speaks(0.0))
+    for module in (schedule, conflict):
+        monkeypatch.setattr(module, "departure", speaks(0.0))
     monkeypatch.setattr(schedule, "is_near", lambda filter: False)
 
 
@@ -158,7 +159,8 @@ def test_learnt_models_stay_where_the_constants_speak_against_any(mission, few_h
     monkeypatch.undo()
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (16.0, 40.0))
     monkeypatch.setattr(LearningSchedule, "REVISED_S", 80.0)
-    monkeypatch.setattr(schedule, "departure", speaks(8.5))
+    for module in (schedule, conflict):
+        monkeypatch.setattr(module, "departure", speaks(8.5))
     no_better = LearningSchedule.is_no_better
     monkeypatch.setattr(LearningSchedule, "is_no_better", lambda *given: asked.append(1) or no_better(*given))
     track = nf.replay(learning, recorded)
@@ -245,7 +247,7 @@ def test_on_the_car_learning_is_honest(on_the_car):
 
 
 @pytest.mark.xfail(
-    strict=True, reason="wheels that are learnt to read better than described navigate worse: 2.9 m, 0.46"
+    strict=True, reason="learnt wheels are in force until the constants disagree, after 48 s: 0.70 m, 0.45"
 )
 def test_on_the_car_learning_is_hardly_worse_than_its_file(on_the_car):
     """It was given up as long as the noise of the unit drew the scale of its wheels: 0.78 m, 0.56 by the file."""

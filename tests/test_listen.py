@@ -27,24 +27,27 @@ def test_carry():
     rng = np.random.default_rng(1)
     for m in (9, 10, 15):
         Phi = np.eye(m) + 0.1 * rng.normal(size=(m, m))
-        ours, twins = run_both(listen.carry, rng.normal(size=2 * m + 1), Phi)
+        ours, twins = run_both(listen.carry, rng.normal(size=2 * m + 2), Phi)
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
 @pytest.mark.parametrize("used", [True, False])
 @pytest.mark.parametrize("gravity", [9.81, 0.0])
 @pytest.mark.parametrize("kind", [listen.NOTHING, listen.HEADING, listen.POSITION, listen.VELOCITY])
-def test_listen(kind, gravity, used):
+@pytest.mark.parametrize("told", ["", "constants", "still", "asked"])
+def test_listen(kind, gravity, used, told):
     rng = np.random.default_rng(2)
     a = 1 if kind == listen.HEADING else 3
+    rows = a + 1 + (a + 1) * (told == "constants")
+    facts = 1e3 * (told == "still"), 0.7 * (told == "constants"), 0.0, rows, told == "asked"
     for ticks, cursor in ((1, 0), (4, 6), (30, 17)):
         dims = np.array([a, 20, 13, 4, 15, 3, 1, 0])
         n, m, errors, at = dims[1], dims[2], dims[5], kalman.places(dims)
         mem = rng.normal(size=at[-1])
         mem[at[8] + 2] = used
-        nav, mount = random_nav(rng), rng.normal(size=9)
+        nav, mount = random_nav(rng), np.concatenate([facts, rng.normal(size=9)])
         args = (
-            rng.normal(size=2 * m + 1),
+            rng.normal(size=2 * m + 2),
             mem,
             dims,
             np.array(at),
@@ -55,14 +58,14 @@ def test_listen(kind, gravity, used):
         args += (
             kind,
             mount,
-            rng.normal(size=(a + 1, 8)),
+            rng.normal(size=(rows, 8)),
             np.array([cursor]),
             ticks,
             rng.normal(size=(6, m - 8)),
             gravity,
         )
         ours, twins = run_both(listen.listen, *args)
-        assert_close([ours[0][[*range(m + 9), -1]]], [twins[0][[*range(m + 9), -1]]], 1e-13)
+        assert_close([ours[0][[*range(m + 9), -2, -1]]], [twins[0][[*range(m + 9), -2, -1]]], 1e-13)
         np.testing.assert_array_equal(np.isnan(ours[9]), np.isnan(twins[9]))
         assert_close([np.nan_to_num(ours[9])], [np.nan_to_num(twins[9])], 1e-13)
         np.testing.assert_array_equal(ours[10], twins[10])

@@ -10,8 +10,13 @@ A force that is found wrong while the vehicle pitches or rolls was wrong in anot
 no chain of integrators. How much of the downward force fed back came by that is summed up, and noted beside the
 residuals.
 
-Places in ``undone`` (2m + 1 elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to
-m, then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space; last that sum.
+A residual is that of the sensor's constants (scale, lever arm, clock ...) as they are estimated at the time. Where some
+are states, their estimates and the slopes of the reading by them are noted, too, so that residuals can be those of
+better estimates later.
+
+Places in ``undone`` (2m + 2 elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to
+m, then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space; then that sum,
+and last how well fixes were predicted that nothing is learnt from.
 """
 
 import math
@@ -24,9 +29,13 @@ UNCOUNTED: dict = {"_nrt": False}
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
 # its ring, ticks by which there is something to do; whether it is watched for a change of its error, by which share a
-# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged; nine elements of `mount`.
+# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged; elements of `mount`.
 KIND, NOTED, CAPACITY, DUE, WATCHED, SHARE, NIS, JUDGED, MOUNT = range(9)
-EAR = MOUNT + 9
+# First in a `mount`, before the rows that turn the body's axes to the instrument's: a velocity below which nothing is
+# learnt [m/s], how long a reading waits [s], which of the sensor's parameters is its clock (-1: none), rows of the
+# ring; whether it is asked how well its readings are predicted.
+STILL, LEAD_S, CLOCK, ROWS, ASKED, AXES = range(6)
+EAR = MOUNT + AXES + 9
 # A change is noticed when the mean NIS has left these limits [1]: it is the one-step likelihood of the model in force,
 # and a variance wrong by two is more than what a posterior leaves open. A single reading counts up to the last number:
 # a spike is no change.
@@ -84,6 +93,19 @@ def carry(undone, Phi):
         undone[i] = undone[m + i]
 
 
+@njit(cache=True, **UNCOUNTED)
+def _in_body(mem, nav, K, res, a, used, axis):
+    """A component of the velocity in b, as it was before the correction."""
+    v = 0.0
+    for i in range(3):
+        back = 0.0
+        if used:
+            for r in range(a):
+                back += mem[K + (3 + i) * a + r] * mem[res + r]
+        v += nav[6 + 3 * i + axis] * (nav[3 + i] - back)
+    return v
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
@@ -91,24 +113,46 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     back.
 
     mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output
-    rows and means. mount: (9,) body to instrument, row by row. ring: (a + 1, capacity), the last row for the force that
-    came by pitch and roll [m/s^2]; cursor: (1,) ticks written so far; `ticks` of the sensor's clock have passed since
-    the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output rows,
-    forces last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no
+    rows and means. mount: see `STILL`, then body to instrument, row by row. ring: (a + 1, capacity), the last row for
+    the force that came by pitch and roll [m/s^2]; where constants are noted, as many rows of their estimates follow,
+    and of the slopes of each axis by them. cursor: (1,) ticks written so far; `ticks` of the sensor's clock have passed
+    since the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output
+    rows, forces last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no
     integral.
+
+    A velocity that stands still is noted as missing. A reading that waits tells the state of `LEAD_S` and of its
+    clock's offset earlier, and so does what is put in again.
     """
-    a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
+    a, m, start, errors, par = dims[0], dims[2], dims[4], dims[5], dims[6]
     K, res, verdict = places[1], places[3], places[8]
     carry(undone, shaped(mem[: m * m], m, m))
     used = mem[verdict + 2] != 0.0
+    if mount[ASKED] != 0.0:
+        for i in range(a):
+            variance = mem[verdict + 3 + a + i]
+            if variance > 0.0:
+                # as likely as a normal variate; of one that is far off only so much counts
+                off = mem[verdict + 3 + i] ** 2 / variance
+                undone[2 * m + 1] -= 0.5 * (min(off, NIS_MOST) + math.log(variance))
     if kind != NOTHING:
         capacity = ring.shape[1]
         at = cursor[0]
         for _ in range(min(ticks - 1, capacity)):
-            for i in range(a + 1):
+            for i in range(ring.shape[0]):
                 ring[i, at % capacity] = math.nan
             at += 1
-        near = places[7]
+        near, late_s, read = places[7], mount[LEAD_S], 0.0
+        if ring.shape[0] > a + 1:
+            for p in range(par):
+                now = x[start - 9 + errors + p]
+                if used:
+                    for r in range(a):
+                        now -= mem[K + (start + errors + p) * a + r] * mem[res + r]
+                ring[a + 1 + p, at % capacity] = now
+                if p == mount[CLOCK]:
+                    late_s += now
+                for i in range(a):
+                    ring[a + 1 + (1 + i) * par + p, at % capacity] = mem[near + i * (9 + par) + 9 + p]
         width = (places[8] - places[7]) // a
         for i in range(a):
             # the residual as it was before the sensor's own coloured error was taken off; also of a reading that the
@@ -124,11 +168,20 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
                 y += undone[8]
             elif kind == POSITION:
                 for j in range(3):
-                    y += mem[near + i * width + j] * undone[j]
+                    gone = late_s * (undone[3 + j] - 0.5 * late_s * undone[m + 3 + j])
+                    y += mem[near + i * width + j] * (undone[j] - gone)
             else:
+                z = y
                 for j in range(3):
-                    y += mount[3 * i + j] * undone[m + j]
+                    by = mount[AXES + 3 * i + j]
+                    y += by * (undone[m + j] - late_s * undone[m + 6 + j])
+                    if mount[STILL] > 0.0:
+                        z += by * _in_body(mem, nav, K, res, a, used, j)
+                read += z * z
             ring[i, at % capacity] = y
+        if kind == VELOCITY and read < mount[STILL] * mount[STILL]:
+            for i in range(a):
+                ring[i, at % capacity] = math.nan
         ring[a, at % capacity] = undone[2 * m]
         cursor[0] = at + 1
     if not used:

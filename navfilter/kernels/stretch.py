@@ -591,6 +591,7 @@ def _listened(sources):
         """
         _ = sources
         a, errors = own[0], own[5]
+        rows = max(a + 1, int(ear[listen.MOUNT + listen.ROWS]))
         mem = bench[own[MEM] : own[CONSTANTS]]
         C = shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors)
         cursor[SPARE], once = 0, int(1)
@@ -603,8 +604,8 @@ def _listened(sources):
             C,
             x,
             int(ear[listen.KIND]),
-            ear[listen.MOUNT : listen.MOUNT + 9],
-            shaped(opened[1 : 2 + a], a + 1, 1),
+            ear[listen.MOUNT :],
+            shaped(opened[1 : 1 + rows], rows, 1),
             cursor[SPARE : SPARE + 1],
             once,
             Cr,
@@ -688,7 +689,7 @@ def stretch(sources):
         now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, and `state`
         (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
         limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
-        their `kalman.places`, and (r, 2 + a) for ticks and what `listen` notes of each reading. looking: what
+        their `kalman.places`, and (r, 1 + rows) for ticks and what `listen` notes of each reading. looking: what
         `look_at_biases` takes last. given, of readings: when taken (r,), channel, samples before it, whether Python has
         found nothing wrong with it, whether its value is that of the one before; values (r, w), and own variances
         (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_carried`.

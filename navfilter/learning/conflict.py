@@ -3,19 +3,101 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navfilter.filter.filter import Filter
 from navfilter.kernels import listen
 
-__all__ = ["BETTER", "CONTRADICTED", "departure", "is_near"]
+__all__ = ["BETTER", "CONTRADICTED", "WORSE", "Stretches", "departure", "is_better", "is_near", "stretched", "told_by"]
+
+Array = NDArray[np.float64]
 
 #: Constants that have gone further from what is believed of them speak against the error models [sd of a normal
 #: variate]: one ask in 700 by chance, and those of a mission are nearly one.
 CONTRADICTED = 3.0
 #: By so much less must they speak against the models as described, for those to be taken instead [the same].
 BETTER = 2.0
+#: By so much less likely are fixes where models are wrong [nat]: twenty to one.
+WORSE = 3.0
+#: What successive stretches tell may differ by so much more than they say of themselves [1, of the variance]: slopes by
+#: constants have noise, too, and of missions whose models are right the mean is 0.7 to 1.3.
+AGREED = 1.5
+#: A direction of which a stretch has told less of the variance before than this says nothing [1].
+HARDLY_TOLD = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """What successive stretches of a mission have told of the constants.
+
+    An error that goes with the motion (a body on its springs, wheels that slip) is no noise: it tells a constant
+    something else in each turn, and what is learnt of its size makes all of that certain.
+
+    Attributes
+    ----------
+    time_s : float
+        End of the last stretch [s]; infinite before the first has begun.
+    estimate, covariance : ndarray, shapes (k,) and (k, k)
+        Of all constants then.
+    length, freedom : float
+        Sum of the squares by which the estimates have changed, in standard deviations of what they should have changed
+        by, and how many there were.
+    """
+
+    time_s: float = math.inf
+    estimate: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    length: float = 0.0
+    freedom: float = 0.0
+
+    @property
+    def disagreement(self) -> float:
+        """By how much more they differ than `AGREED`, in standard deviations of a normal variate: see `departure`."""
+        return _normal(self.length / (AGREED * self.freedom), self.freedom) if self.freedom else 0.0
+
+
+def stretched(filter: Filter, before: Stretches, time_s: float) -> Stretches:
+    """With the stretch that ends at a time [s]; without any before, one begins there.
+
+    Notes
+    -----
+    Where models are right the estimates of constants change by ``N(0, P_before - P_after)``, and each change is
+    independent of those before. Along its eigenvectors, in units of the sd before, it is a sum of ``chi2(1)``; what has
+    been opened meanwhile, or hardly told, does not count.
+    """
+    at = filter.layout.constants[0]
+    estimate, covariance = filter.x[at - 9].copy(), filter.P[np.ix_(at, at)].copy()
+    if before.time_s == math.inf or before.estimate.size != at.size:
+        return Stretches(time_s, estimate, covariance)
+    if before.time_s >= time_s or not at.size:
+        return before
+    sd = np.sqrt(np.maximum(before.covariance.diagonal(), 1e-300))
+    told, axes = np.linalg.eigh((before.covariance - covariance) / np.outer(sd, sd))
+    change, counts = axes.T @ ((estimate - before.estimate) / sd), told > HARDLY_TOLD
+    length = before.length + float(np.sum(change[counts] ** 2 / told[counts]))
+    return Stretches(time_s, estimate, covariance, length, before.freedom + float(counts.sum()))
+
+
+def is_better(described: Filter, learnt: Filter, told: Stretches) -> bool:
+    """Whether the constants speak less against a filter with the models as described than against one with those that
+    were learnt: by how far they have gone from their prior, or as they are less sure where they disagree with
+    themselves.
+    """
+    against = departure(described)
+    if departure(learnt) - against >= BETTER:
+        return True
+    (at, *_), (beside, *_) = described.layout.constants, learnt.layout.constants
+    less_sure = np.prod(described.P[at, at] / np.maximum(learnt.P[beside, beside], 1e-300)) > 1.0
+    return told.disagreement >= CONTRADICTED > against and bool(less_sure)
+
+
+def told_by(filter: Filter) -> set[str]:
+    """Sensors that tell the position of a vehicle whose constants are not known for certain."""
+    sensors = filter.vehicle.sensors if filter.layout.constants[0].size else {}
+    return {name for name, sensor in sensors.items() if sensor.open_loop == listen.POSITION}
 
 
 def is_near(filter: Filter) -> bool:
@@ -53,6 +135,10 @@ def departure(filter: Filter) -> float:
     length, total, squares = float(np.sum(((filter.x[at - 9] - mean) / sd) ** 2)), float(told.sum()), float(told @ told)
     if squares == 0.0:
         return 0.0
-    freedom = total * total / squares
+    return _normal(length / total, total * total / squares)
+
+
+def _normal(ratio: float, freedom: float) -> float:
+    """The normal variate of a chi-square variate over its mean."""
     spread = 2.0 / (9.0 * freedom)
-    return (math.cbrt(length / total) - (1.0 - spread)) / math.sqrt(spread)
+    return (math.cbrt(ratio) - (1.0 - spread)) / math.sqrt(spread)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,18 +16,19 @@ from navfilter.error_models import GaussMarkov
 from navfilter.learning.alike import alike
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
+from navfilter.learning.learner_memory import LearnerMemory, Order
 from navfilter.learning.learnt import Learnt, learnt_from
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
-from navfilter.learning.posterior import DEAD, Line, SlowPosterior, denied, follow
+from navfilter.learning.posterior import DEAD, SlowPosterior, denied, follow
+from navfilter.learning.quick import QuickDescription
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_parts
 from navfilter.learning.unseen import Doubt, WhiteDescription
 
-__all__ = ["Learner", "LearnerMemory", "Look", "hop_together", "memories", "recall"]
+__all__ = ["Learner", "LearnerMemory", "Look", "hop_together"]
 
 Array = NDArray[np.float64]
-Order = tuple[int, int]
 
 
 class Look(NamedTuple):
@@ -42,6 +43,8 @@ class Look(NamedTuple):
     posterior : SlowPosterior or None
     n : int
         Samples that count.
+    plain : Learnt or None
+        What is handed out instead, as a description without slow parts has it.
     """
 
     series: Array
@@ -49,42 +52,12 @@ class Look(NamedTuple):
     point: Point
     posterior: SlowPosterior | None
     n: int
+    plain: Learnt | None = None
 
     @property
     def is_coloured(self) -> bool:
         """Whether the fast part is not white."""
         return self.point.theta.size > 1 + 2 * bool(self.point.slow)
-
-
-@dataclass(frozen=True)
-class LearnerMemory:
-    """What a learner knows between hops; nothing in it is changed.
-
-    Attributes
-    ----------
-    thetas : dict of (p, q) to ndarray
-        Estimates of every order that has been fitted, in the unit of the series; see `Likelihood`.
-    scores : dict of (p, q) to float
-        Half the BIC above that of the best, when fitted last.
-    lines : dict of (order, number of tau) to Line
-        Evidence for the slow part.
-    turn : int
-        Turns of the orders that are not among the best.
-    heard : int
-        Samples that the evidence rests on.
-    smooth : dict of (p, q) to ndarray
-        As `thetas`, with a slow part of second order: of the order that it was tried with last.
-    grown : int
-        As `heard`, when the larger orders were last begun from smaller ones.
-    """
-
-    thetas: dict[Order, Array]
-    scores: dict[Order, float]
-    lines: dict[tuple[int, int], Line]
-    turn: int
-    heard: int
-    smooth: dict[Order, Array]
-    grown: int
 
 
 class Learner:
@@ -108,6 +81,8 @@ class Learner:
         Of the slow part; without one the error has none.
     described : WhiteDescription, optional
         Where there is no such prior: what stays believed of low frequencies.
+    quick : QuickDescription, optional
+        Where the prior is that of a description without slow parts: what it says as long as readings bear it out.
 
     Raises
     ------
@@ -132,6 +107,7 @@ class Learner:
         white: float = 0.0,
         prior: SlowPrior | None = None,
         described: WhiteDescription | None = None,
+        quick: QuickDescription | None = None,
     ) -> None:
         self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
         if not self.orders or min(min(order) for order in self.orders) < 0:
@@ -141,7 +117,7 @@ class Learner:
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
-        self.described = described if prior is None else None
+        self.described, self.quick = described if prior is None else None, None if prior is None else quick
         self._memory = LearnerMemory({}, {}, {}, 0, 0, {}, 0)
 
     @property
@@ -161,7 +137,20 @@ class Learner:
 
     def forget(self) -> None:
         """The error has changed: what was found serves as a start, and is no evidence any longer."""
-        self._memory = LearnerMemory(self._memory.thetas, {}, {}, self._memory.turn, 0, {}, 0)
+        memory, plain = self._memory, self._plain()
+        if plain is not None:
+            plain.forget()
+        known = None if plain is None else plain.memory
+        self._memory = LearnerMemory(memory.thetas, {}, {}, memory.turn, 0, {}, 0, known, memory.contradicted)
+
+    def _plain(self) -> Learner | None:
+        """One that learns the same as the description has it, without a slow part."""
+        if self.quick is None or self._memory.contradicted:
+            return None
+        plain = Learner(self.orders, self.window, self.drift, white=self.white, described=self.quick.low)
+        if self._memory.plain is not None:
+            plain.memory = self._memory.plain
+        return plain
 
     def hop(self, series: ArrayLike, fresh: int | None = None) -> Learnt | None:
         """Learn from the last `window` samples (fewer at first).
@@ -219,7 +208,18 @@ class Learner:
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
         self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
-        return Look(y, likelihood, point, posterior, n)
+        return Look(y, likelihood, point, posterior, n, self._as_described(y, fresh))
+
+    def _as_described(self, series: Array, fresh: int) -> Learnt | None:
+        """What is learnt where slow errors are as unlikely as the description has them, while readings bear it out."""
+        plain = self._plain()
+        if plain is None or self.quick is None or (look := plain.look(series, fresh)) is None:
+            return None
+        if not self.quick.holds(learnt_from(look.likelihood, look.point, None, look.n).model):
+            self._memory = replace(self._memory, plain=None, contradicted=True)
+            return None
+        self._memory, doubt = replace(self._memory, plain=plain.memory), plain.doubts(look)
+        return plain.say(look, doubt, 0.0 if doubt is None else float(expit(doubt.gain)))
 
     def doubts(self, look: Look) -> Doubt | None:
         """What speaks for a slow error that was not described; None where one was, or nothing is known of its kind."""
@@ -231,7 +231,9 @@ class Learner:
         """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability
         of `present`.
         """
-        series, likelihood, point, posterior, n = look
+        series, likelihood, point, posterior, n, plain = look
+        if plain is not None:
+            return plain
         if doubt is not None:
             posterior = doubt.posterior.given(present)
             if present > 0.5:
@@ -346,8 +348,8 @@ class Learner:
         smooth = {} if tried is None else {tried[0]: kept(*tried)}
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
-        lines = {} if posterior is None else posterior.lines
-        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown)
+        lines, known = {} if posterior is None else posterior.lines, (memory.plain, memory.contradicted)
+        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown, *known)
 
 
 def _power(parts: Sequence[GaussMarkov]) -> float:
@@ -403,17 +405,3 @@ def _told_by_others(pairs: list[tuple[Learner | None, Look | None]]) -> list[tup
             assert look is not None
             pairs[axis] = learner, look._replace(posterior=told)
     return pairs
-
-
-def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:
-    """What the learners of a sensor's axes know; None where nothing is learnt."""
-    return tuple(None if learner is None else learner.memory for learner in learners)
-
-
-def recall(
-    learners: Sequence[Learner | None], now: Sequence[LearnerMemory | None], then: Sequence[LearnerMemory | None]
-) -> None:
-    """Let learners that know `now` know `then`; those for which the two are one value stay as they are."""
-    for learner, present, other in zip(learners, now, then, strict=True):
-        if learner is not None and other is not None and other is not present:
-            learner.memory = other

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
+from navfilter.learning.conflict import Stretches
 from navfilter.learning.kept import Kept
 from navfilter.learning.listener_memory import ListenerMemory
 from navfilter.learning.rest import RestMemory
 
-__all__ = ["Again", "LearningMemory"]
+__all__ = ["Again", "LearningMemory", "relaid"]
 
 Array = NDArray[np.float64]
 
@@ -37,13 +38,21 @@ class Again:
     given_up: bool = False
 
 
+def relaid(fed_back: Array, M: Array, after: int) -> Array:
+    """What was fed back, see `LearningMemory`, with a head of so many states that M makes of those before."""
+    before, result = len(fed_back) // 2 - 1, np.zeros(2 * after + 2)
+    result[:after] = M[:after, :before] @ fed_back[:before]
+    result[after : after + 9], result[-2:] = fed_back[before : before + 9], fed_back[-2:]
+    return result
+
+
 @dataclass
 class LearningMemory:
     """Everything that changes while a filter is listened to.
 
     Attributes
     ----------
-    fed_back : ndarray, shape (2m + 1,)
+    fed_back : ndarray, shape (2m + 2,)
         Sum of what the corrections fed back, as an open loop would have carried it, see `navfilter.kernels.listen`.
     listeners : dict of str to ListenerMemory
     rest : RestMemory or None
@@ -65,6 +74,10 @@ class LearningMemory:
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     ask_s : float
         Then the constants are asked next whether they speak against what was learnt [s]; infinite: no more.
+    told : Stretches
+        What they were told in the stretches since the beginning was done last.
+    refused : bool
+        Whether what was learnt last predicts fixes worse than what is in force.
     """
 
     SHARED: ClassVar = ("beginning",)
@@ -81,6 +94,8 @@ class LearningMemory:
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
     ask_s: float
+    told: Stretches
+    refused: bool
 
     def revive(self, names: tuple[str, ...]) -> None:
         """Make the inputs of the beginning, as they were stored, one's own, for a vehicle with these sensors.
@@ -95,10 +110,10 @@ class LearningMemory:
         if (self.beginning.count if self.beginning else (0, 0)) != self.kept:
             raise ValueError("memory.learning.beginning has not as many inputs as were kept")
         for name, listener in self.listeners.items():
-            hop, rows = listener.hop, len(listener.ring)
+            hop, axes = listener.hop, len(listener.models)
             if hop is None:
                 continue
-            fits = isinstance(hop.heard, np.ndarray) and hop.heard.ndim == 2 and rows - 1 <= len(hop.heard) <= rows
+            fits = isinstance(hop.heard, np.ndarray) and hop.heard.ndim == 2 and axes <= len(hop.heard) <= axes + 1
             left = isinstance(hop.left_out, np.ndarray) and hop.left_out.shape == listener.left_out.shape
             if not (fits and left and hop.heard.dtype == np.float64 and hop.left_out.dtype.kind == "i"):
                 raise ValueError(f"what the hop of {name!r} learns from has another form")

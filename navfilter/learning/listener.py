@@ -23,10 +23,12 @@ from navfilter.learning.learned import (
     learning_part,
     with_learned,
 )
-from navfilter.learning.learner import Learner, LearnerMemory, hop_together, memories, recall
+from navfilter.learning.learner import Learner, hop_together
+from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.learnt import Learnt
 from navfilter.learning.limits import LEAST, LONGEST_GAP
 from navfilter.learning.listener_memory import Hop, ListenerMemory
+from navfilter.learning.quick import quick_description
 from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
@@ -125,7 +127,13 @@ class Listener:
         models = sensor.models
         learned = [learning_part(model) for model in models]
         window = max((part.window for part in learned if part is not None), default=0)
-        self.mount = np.ascontiguousarray(sensor.instrument_axes()).ravel()
+        self.axes, parameters = sensor.axes, sensor.all_parameters()
+        # of how many constants estimates and slopes are noted: all of the sensor, where one is not known
+        self.constants = len(parameters) if any(p.sd for p in parameters) else 0
+        clock = next((i for i, p in enumerate(parameters) if p.name == "time_offset"), -1)
+        rows = sensor.axes + 1 + self.constants * (sensor.axes + 1)
+        facts = sensor.still_m_s, sensor.lead_s, clock, rows, 0.0
+        self.mount = np.concatenate([facts, np.ascontiguousarray(sensor.instrument_axes()).ravel()])
         self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
         self._turns = any(math.isfinite(drift.most_turned) for drift in self.drifts)
         self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
@@ -140,10 +148,10 @@ class Listener:
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
-        facts = {listen.KIND: self.kind, listen.CAPACITY: capacity, listen.SHARE: self._share}
-        self._ear = np.array([*(facts.get(i, 0.0) for i in range(listen.MOUNT)), *self.mount], dtype=np.float64)
+        known = {listen.KIND: self.kind, listen.CAPACITY: capacity, listen.SHARE: self._share}
+        self._ear = np.array([*(known.get(i, 0.0) for i in range(listen.MOUNT)), *self.mount], dtype=np.float64)
         self._memory = ListenerMemory(
-            ring=np.full((sensor.axes + 1, capacity), np.nan),
+            ring=np.full((rows, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
             left_out=np.zeros((LEFT_OUT, 2), np.int64),
             due=LEAST if window else NEVER,
@@ -184,9 +192,14 @@ class Listener:
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
         first = written - min(written, last, capacity)
         at, count = first % capacity, max(written - without - first, 0)
-        rows = len(ring) if self._turns else len(ring) - 1
+        rows = self.axes + 1 if self._turns else self.axes
         heard, room = np.empty((rows, count)), min(capacity - at, count)
         heard[:, :room], heard[:, room:] = ring[:rows, at : at + room], ring[:rows, : count - room]
+        if self.constants and count:
+            told = ring[self.axes + 1 :, np.arange(first, first + count) % capacity]
+            estimates, slopes = told[: self.constants], told[self.constants :].reshape(self.axes, self.constants, count)
+            # as if the constants had been known as they were at the last of these ticks
+            heard[: self.axes] += np.einsum("akt,kt->at", slopes, estimates - estimates[:, -1:])
         return heard, self._memory.left_out - first
 
     def _told(self, axis: int, heard: Array, left_out: NDArray[np.int64]) -> Array:
@@ -418,7 +431,8 @@ def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, wi
     period_s = 1.0 / sensor.rate_hz
     described = white_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
     prior = believed(part, period_s)
-    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described)
+    quick = quick_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
+    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described, quick=quick)
 
 
 def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
-from navfilter.learning.learner import LearnerMemory
+from navfilter.learning.learner_memory import LearnerMemory
 
 __all__ = ["Hop", "ListenerMemory"]
 

@@ -10,16 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.filter.filter import Filter
 from navfilter.learning.bias import hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
-from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
+from navfilter.learning.learner import Learner
+from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.limits import LONGEST_GAP
 from navfilter.learning.listener import believed
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 
-__all__ = ["RestMemory", "RestRecorder"]
+__all__ = ["RestMemory", "RestRecorder", "estimates"]
 
 Array = NDArray[np.float64]
 
@@ -269,6 +271,16 @@ class RestRecorder:
         before, memory.models = memory.models, tuple(new)
         memory.learners = memories(self.learners)
         return {name: memory.models[axes] for name, axes in PARTS.items() if memory.models[axes] != before[axes]}
+
+
+def estimates(filter: Filter) -> tuple[Array, Array]:
+    """Velocity and error of the gyros, each above its standard deviation, shape (2, 3), as of the last time the
+    covariance moved.
+    """
+    C, P, m = filter.drive_output[:3, :-1], filter.P, filter.layout.head
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C), 0.0))
+    speed = np.sqrt(np.maximum(P[range(3, 6), range(3, 6)], 0.0))
+    return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
 
 
 def _limits(drive: Imu) -> Array:

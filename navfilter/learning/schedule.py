@@ -15,35 +15,23 @@ from navfilter.filter.adoption import Change, adoption
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
-from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.kernels import listen
-from navfilter.learning.conflict import BETTER, CONTRADICTED, departure, is_near
+from navfilter.learning import conflict
+from navfilter.learning.conflict import CONTRADICTED, Stretches, departure, is_near
+from navfilter.learning.doubtful import doubtful_ticks
 from navfilter.learning.kept import Kept
 from navfilter.learning.learned import learning_part
-from navfilter.learning.learning_memory import Again, LearningMemory
+from navfilter.learning.learning_memory import Again, LearningMemory, relaid
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
-from navfilter.learning.rest import RestRecorder
+from navfilter.learning.rest import RestRecorder, estimates
 from navfilter.learning.worker import Worker
 
 __all__ = ["LearningSchedule"]
 
 Array = NDArray[np.float64]
-#: So many refused readings on end, all off by the same at once, are no outliers any more.
-JUMPED = 3
-_NO_RING, _NO_CURSOR, _NO_MOUNT, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9), np.zeros(0)
-
-
-def doubtful_ticks(channel: Channel, time_s: float) -> int:
-    """How many ticks of a sensor, up to its reading of a time [s], show no error to be learnt: those of one that is
-    stuck or has jumped. What a gate refuses for another reason is learnt from: it shows an error larger than believed.
-    """
-    memory, refused = channel.memory, channel.memory.refused
-    if channel.stuck:
-        return round(Watch.STUCK_S / channel.period_s) + 1
-    if refused is not None and refused.jumped and refused.count >= JUMPED:
-        return round((time_s - memory.rejected_since_s) / channel.period_s) + 1
-    return int(channel.offset)
+_ASKED = np.where(np.arange(listen.EAR) == listen.MOUNT + listen.ASKED, 1.0, 0.0)
+_NO_RING, _NO_CURSOR, _DEAF, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(listen.EAR), np.zeros(0)
 
 
 class LearningSchedule:
@@ -82,7 +70,7 @@ class LearningSchedule:
     #: The beginning is done again so much later, of the age [1]: a machine must be 50 times as fast as the mission.
     AGAIN_AFTER = 0.02
     #: Until then the constants of the vehicle are asked so often whether they speak against the learnt models [s].
-    ASKED_S = 10.0
+    ASKED_S = 5.0
 
     def __init__(self, filter: Filter, behind_s: float, worker: Worker | None = None) -> None:
         self.filter, self.behind_s, self.worker = filter, behind_s, worker or Worker(threads=False)
@@ -93,13 +81,16 @@ class LearningSchedule:
         self._quiet_s, self._ask_s = -math.inf, start_s + self.ASKED_S
         self._waiting: tuple[Change, ...] = ()
         self.again: Again | None = None
-        self._fed_back = np.zeros(2 * filter.layout.head + 1)
+        self._told, self._refused = Stretches(), False
+        self._fed_back = np.zeros(2 * filter.layout.head + 2)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
         for name, sensor in vehicle.sensors.items():
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
         self.beginning = Kept(tuple(vehicle.sensors)) if self.listeners else None
+        #: Fixes that nothing is learnt of, of a vehicle with constants that are states.
+        self.fixes = conflict.told_by(filter) - set(self.listeners) if self.listeners else set()
         if self.listeners:
             self.worker.start()
             self.worker.later(self._ask_for)
@@ -124,6 +115,8 @@ class LearningSchedule:
             self._waiting,
             self._levels,
             self._ask_s,
+            self._told,
+            self._refused,
         )
 
     @memory.setter
@@ -131,7 +124,7 @@ class LearningSchedule:
         self._fed_back, self.beginning = memory.fed_back, memory.beginning
         self._stage, self._hopping, self.again = memory.stage, memory.hopping, memory.again
         self._quiet_s, self._waiting, self._levels = memory.quiet_s, memory.waiting, memory.levels
-        self._ask_s = memory.ask_s
+        self._ask_s, self._told, self._refused = memory.ask_s, memory.told, memory.refused
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -201,7 +194,7 @@ class LearningSchedule:
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
         (outcome, time_s, _), listener, memory = event, self.listeners.get(channel.name), self.filter.memory
-        kind, ring, cursor, mount = listen.NOTHING, _NO_RING, _NO_CURSOR, _NO_MOUNT
+        kind, ring, cursor, mount = listen.NOTHING, _NO_RING, _NO_CURSOR, self.ear(channel.name)[listen.MOUNT :]
         if listener is not None:
             kind, ring, cursor, mount = listener.kind, listener.memory.ring, listener.memory.cursor, listener.mount
         listen.listen(
@@ -227,11 +220,17 @@ class LearningSchedule:
             listener.notice(outcome.nis, outcome.dof)
         return self._due(listener, outcome.accepted)
 
+    def ear(self, name: str) -> Array:
+        """With which a kernel listens to a sensor, see `navfilter.kernels.listen`."""
+        if name in self.listeners:
+            return self.listeners[name].ear
+        return _ASKED if name in self.fixes else _DEAF
+
     def _due(self, listener: Listener, accepted: bool) -> Sequence[Change]:
         models = listener.learnt() if listener.is_answered else None
         if listener.is_due and accepted:
             listener.begin_hop()
-        return () if models is None else (Change(listener.name, models),)
+        return () if models is None or self._refused else (Change(listener.name, models),)
 
     @property
     def learning_s(self) -> float:
@@ -254,7 +253,9 @@ class LearningSchedule:
     def _asked_in_vain(self) -> bool:
         """Ask the constants whether they speak for the models, or whether something else comes first."""
         before_s, self._ask_s = self._ask_s, self._ask_s + self.ASKED_S
-        if self._given_up_s > self._hop_s or is_near(self.filter):  # what is due then comes first
+        self._told = conflict.stretched(self.filter, self._told, before_s)
+        agrees = self._told.disagreement < CONTRADICTED and is_near(self.filter)
+        if self._given_up_s > self._hop_s or agrees:  # what is due then comes first
             return True
         self._ask_s = before_s
         return False
@@ -281,12 +282,7 @@ class LearningSchedule:
                 listener.learn_anew()
 
     def _relaid(self, M: Array) -> None:
-        before, after = len(self._fed_back) // 2, self.filter.layout.head
-        fed_back = np.zeros(2 * after + 1)
-        fed_back[:after] = M[:after, :before] @ self._fed_back[:before]
-        fed_back[after : after + 9] = self._fed_back[before : before + 9]
-        fed_back[-1] = self._fed_back[-1]
-        self._fed_back = fed_back
+        self._fed_back = relaid(self._fed_back, M, self.filter.layout.head)
         self.worker.later(self._ask_for)
 
     def _ask_for(self) -> None:
@@ -298,19 +294,9 @@ class LearningSchedule:
         rest = self.rest
         assert rest is not None
         rest.note(samples)
-        if rest.room or not rest.close(*self._estimates()):
+        if rest.room or not rest.close(*estimates(self.filter)):
             return ()
         return [Change(name, models) for name, models in rest.learn().items()]
-
-    def _estimates(self) -> tuple[Array, Array]:
-        """Velocity and error of the gyros, each above its standard deviation, shape (2, 3), as of the last time the
-        covariance moved.
-        """
-        filter, m = self.filter, self.filter.layout.head
-        C, P = filter.drive_output[:3, :-1], filter.P
-        spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C), 0.0))
-        speed = np.sqrt(np.maximum(P[range(3, 6), range(3, 6)], 0.0))
-        return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
 
     # ---------------------------------------------------------------- the beginning
     def keep(self, item: Array | Reading) -> None:
@@ -363,12 +349,11 @@ class LearningSchedule:
             return
         found = {name: models for name in hops if (models := self.listeners[name].learnt()) is not None}
         levels = self._present_levels()
-        if any(
+        if self._refused or any(
             abs(math.log(new / old)) > self.ANOTHER
             for name in self._levels
             for new, old in zip(levels[name], self._levels[name], strict=True)
         ):
-            self._levels = levels
             for name, listener in self.listeners.items():
                 listener.settle(ages[name])
             learnt = {name: listener.memory.models for name, listener in self.listeners.items()}
@@ -395,15 +380,30 @@ class LearningSchedule:
         self._ask_s += self.ASKED_S
         models = {name: listener.memory.models for name, listener in self.listeners.items()}
         described = {name: listener.described for name, listener in self.listeners.items()}
-        if models != described and departure(self.filter) >= CONTRADICTED:
+        if models != described and max(departure(self.filter), self._told.disagreement) >= CONTRADICTED:
             in_force = self.filter.described_models(described)
             self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
 
-    def is_no_better(self, described: Filter) -> bool:
-        """Whether the constants speak hardly less against a filter with the models as described: then those that were
-        learnt stay in force, and the constants are asked again a quarter of the age later.
+    @property
+    def compares(self) -> bool:
+        """Whether the beginning is not done again before it is known that this is better."""
+        return self.again is not None and (self.again.given_up or bool(self.fixes))
+
+    def is_no_better(self, other: LearningSchedule) -> bool:
+        """Whether a run that has begun again is no better than this one, which goes on then. Models that were learnt
+        must not predict fixes worse: nothing of those is learnt, and they show what the rest makes of the position.
+
+        With the models as described the constants must speak less against it; else they are asked again a quarter of
+        the age later.
         """
-        if departure(self.filter) - departure(described) >= BETTER:
+        assert self.again is not None
+        if not self.again.given_up:
+            if other._fed_back[-1] > self._fed_back[-1] - conflict.WORSE:  # ln of how likely fixes were
+                return False
+            self._quiet_s, self._refused = self.early_s, True
+            self._go_on()
+            return True
+        if conflict.is_better(other.filter, self.filter, self._told):
             return False
         self._ask_s += self.ASKED_S * math.floor(0.25 * (self._ask_s - self._start_s) / self.ASKED_S)
         self.again = None
@@ -414,6 +414,9 @@ class LearningSchedule:
         self._stage, self._hopping, self.again = self._stage + 1, False, None
         if self._stage > len(self.EARLY_S):
             self.beginning = None
+            if self._refused:
+                for listener in self.listeners.values():
+                    listener.give_up()
 
     def adopted_by_hand(self) -> None:
         """The user has put a model in force: the beginning is not done again."""
@@ -429,14 +432,16 @@ class LearningSchedule:
         """
         for listener in self.listeners.values():
             listener.begin_again()
-        self._fed_back = np.zeros(2 * self.filter.layout.head + 1)
+        self._fed_back, self._told, self._refused = np.zeros(2 * self.filter.layout.head + 2), Stretches(), False
         if self.rest is not None:
             self.rest.begin_again()
         names = tuple(self.filter.channels)
         inputs, self.beginning = self.beginning or Kept(names), Kept(names)
         self._quiet_s = until_s
         self._waiting = ()
-        if self.again is not None and self.again.given_up:
+        if self.again is not None and not self.again.given_up:
+            self._levels = self._present_levels()
+        elif self.again is not None:
             self.beginning = None
             for listener in self.listeners.values():
                 listener.give_up()

@@ -241,6 +241,11 @@ class Sensor:
         block = self.models[axis].block(1.0 / self.rate_hz)
         return float(block.r / count + block.C @ block.P0 @ block.C)
 
+    @property
+    def still_m_s(self) -> float:
+        """A velocity that reads less stands still, and shows no error by which one under way is told [m/s]; 0: none."""
+        return 0.0
+
     def held(self) -> tuple[int, int]:
         """From which of its parameters to which the slopes are velocities, see `measurement.hold_slopes`."""
         return 0, 0

@@ -34,6 +34,8 @@ USUAL = Plausible(1e-4, 0.5, "cm_per_s", most_rate_hz=100.0)
 #: A current changes by no more than this within minutes, on the way through a shear layer or an eddy [m/s]; what comes
 #: to be off by more has another cause.
 FLOWS_M_S = 1.0
+#: Wheels that turn slower than this stand: what is left is the noise of what counts them [m/s].
+STILL_M_S = 0.05
 DVL_ERROR = 'error = {model = "white", sd = 0.01}'
 
 
@@ -100,6 +102,11 @@ class BodyVelocity(Sensor):
     def parameters(self) -> tuple[Parameter, ...]:
         """Scale (or one an axis) and three misalignments, or none."""
         return self.calibration()
+
+    @property
+    def still_m_s(self) -> float:
+        """Wheels that stand do not err, and neither do axes that cannot slip."""
+        return 0.0 if self.zero_is_invalid else STILL_M_S
 
     def held(self) -> tuple[int, int]:
         """Scale and misalignment."""
