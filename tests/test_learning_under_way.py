@@ -436,7 +436,6 @@ BEYOND = {
     ("mems", "compass-swell"): f"0.14: {ROUGH}",
     ("tactical", "gps-thesis"): f"4.4: {TAIL}",
     ("mems", "gps-thesis"): f"5.5: {TAIL}",
-    ("tactical", "dvl-coloured"): f"2.0: {TAIL}",
     ("mems", "compass-white"): f"3.8: {TAIL}",
 }
 
