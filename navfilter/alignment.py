@@ -92,7 +92,8 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     fixes = _fixes(vehicle, mission)
     first = _first_fix(fixes, vehicle, window_s)
     begin = max(fixes.time_s[first], drive.time_s[0])
-    read, last = _headings(vehicle, mission, begin, window_s), -1
+    # a drive that is no inertial unit brings its own heading
+    read, last = _headings(vehicle, mission, begin, window_s) if vehicle.drive.inertial else None, -1
     if vehicle.drive.inertial and read is None:
         first, last = _later(fixes, vehicle, mission, first, window_s)
         begin = max(fixes.time_s[first], drive.time_s[0])
@@ -366,13 +367,13 @@ def _way(fixes: _Fixes, vehicle: Vehicle, first: int, until_s: float) -> tuple[i
     """The first two fixes, of those from `first` on, between which the vehicle has gone; neither leaps from its
     neighbour between them.
     """
-    times = fixes.time_s
-    steps = np.diff(times)
-    calm = np.array([np.hypot(*fixes.way(k)[k + 1]) for k in range(len(steps))]) <= fixes.near_m(steps, vehicle)
+    times, way = fixes.time_s, fixes.way(first)
+    calm = np.hypot(*np.diff(way, axis=0).T) <= fixes.near_m(np.diff(times), vehicle)
     for last in range(first + 1, int(np.searchsorted(times, until_s))):
-        of = np.arange(first, last)
-        of = of[calm[of] & (times[of] >= times[last] - LONGEST_WAY_S)] if calm[last - 1] else of[:0]
-        gone = np.hypot(*fixes.way(last)[of].T) > np.maximum(LEAST_WAY_M, LEAST_WAY_SD * fixes.apart_sd(of, last))
+        of = np.arange(max(first, int(np.searchsorted(times, times[last] - LONGEST_WAY_S))), last)
+        of = of[calm[of]] if calm[last - 1] else of[:0]
+        least = np.maximum(LEAST_WAY_M, LEAST_WAY_SD * fixes.apart_sd(of, last))
+        gone = np.hypot(*(way[of] - way[last]).T) > least
         if gone.any():
             return int(of[gone][0]), last
     return None
