@@ -1114,12 +1114,12 @@ def carry(undone, Phi):
 
 
 def attend(ear, nis, dof, ticks, learning):
-    """ear: kind, noted, capacity, due, watched, share, nis, judged, mount. True: a change, or ticks enough."""
+    """ear: kind, noted, capacity, due, watched, share, nis, judged, usual, mount. True: a change, or ticks enough."""
     ear[1] += len(range(int(ear[2]))[: max(ticks - 1, 0)]) + 1
     watched = learning and ear[4] and dof and np.isfinite(nis)
     if watched:
         ear[6] = (1.0 - ear[5]) * ear[6] + ear[5] * min(nis / dof, 25.0)
-    return bool(watched and ear[1] >= ear[7] and not 0.4 < ear[6] < 2.0) or bool(learning and ear[1] >= ear[3])
+    return bool(watched and ear[1] >= ear[7] and not 0.4 < ear[6] / ear[8] < 2.0) or bool(learning and ear[1] >= ear[3])
 
 
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
@@ -1862,7 +1862,7 @@ def prompt(
     if not undone.size:
         return 0
     C = bench[spot[20] :][: a * errors].reshape(a, errors)
-    listen(undone, mem, spot[:8], where, nav, C, x, int(ear[0]), ear[8:], ring, cursor, count, Cr, float(gravity))
+    listen(undone, mem, spot[:8], where, nav, C, x, int(ear[0]), ear[9:], ring, cursor, count, Cr, float(gravity))
     return 6 if ear[0] and attend(ear, nis, dof, count, t >= learn) else 0
 
 
@@ -1945,7 +1945,7 @@ def stretch(
         a, mem, once = spot[0], bench[spot[15] : spot[16]], np.zeros(1, int)
         C = bench[spot[20] :][: a * spot[5]].reshape(a, spot[5])
         value = np.zeros((max(a + 1, int(ears[i, 11])), 1))
-        listen(undone, mem, spot[:8], where[i], nav, C, x, ears[i, 0], ears[i, 8:], value, once, 1, Cr, float(g))
+        listen(undone, mem, spot[:8], where[i], nav, C, x, ears[i, 0], ears[i, 9:], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]
         if ears[i, 0]:
             opened[e, 1 : 1 + len(value)] = value[:, 0]

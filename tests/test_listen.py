@@ -31,6 +31,24 @@ def test_carry():
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
+@pytest.mark.parametrize("learning", [True, False])
+@pytest.mark.parametrize("usual", [1.0, 0.2])
+def test_attend(usual, learning):
+    rng = np.random.default_rng(3)
+    told = []
+    for _ in range(200):
+        ear = np.zeros(listen.EAR)
+        ear[[listen.CAPACITY, listen.DUE, listen.JUDGED]] = 20, rng.integers(90), rng.integers(40)
+        ear[[listen.NOTED, listen.WATCHED, listen.USUAL]] = rng.integers(20), rng.integers(2), usual
+        ear[[listen.SHARE, listen.NIS]] = 0.1, usual * rng.uniform(0.2, 4.0)
+        nis = math.nan if rng.random() < 0.1 else rng.exponential(40.0)
+        args = ear, nis, float(rng.integers(4)), int(rng.integers(1, 40)), learning
+        ours, twins = run_both(listen.attend, *args)
+        assert_close([ours[0]], [twins[0]], 1e-15)
+        told.append(listen.attend(ear, *args[1:]))
+    assert not any(told) if not learning else 20 < sum(told) < 180
+
+
 @pytest.mark.parametrize("used", [True, False])
 @pytest.mark.parametrize("gravity", [9.81, 0.0])
 @pytest.mark.parametrize("kind", [listen.NOTHING, listen.HEADING, listen.POSITION, listen.VELOCITY])

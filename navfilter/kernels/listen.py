@@ -29,16 +29,17 @@ UNCOUNTED: dict = {"_nrt": False}
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
 # its ring, ticks by which there is something to do; whether it is watched for a change of its error, by which share a
-# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged; elements of `mount`.
-KIND, NOTED, CAPACITY, DUE, WATCHED, SHARE, NIS, JUDGED, MOUNT = range(9)
+# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged, what it usually is; elements of
+# `mount`.
+KIND, NOTED, CAPACITY, DUE, WATCHED, SHARE, NIS, JUDGED, USUAL, MOUNT = range(10)
 # First in a `mount`, before the rows that turn the body's axes to the instrument's: a velocity below which nothing is
 # learnt [m/s], how long a reading waits [s], which of the sensor's parameters is its clock (-1: none), rows of the
 # ring; whether it is asked how well its readings are predicted.
 STILL, LEAD_S, CLOCK, ROWS, ASKED, AXES = range(6)
 EAR = MOUNT + AXES + 9
-# A change is noticed when the mean NIS has left these limits [1]: it is the one-step likelihood of the model in force,
-# and a variance wrong by two is more than what a posterior leaves open. A single reading counts up to the last number:
-# a spike is no change.
+# A change is noticed when the mean NIS has left these limits, in units of what it usually is [1]: it is the one-step
+# likelihood of the model in force, and a variance wrong by two is more than what a posterior leaves open. A single
+# reading counts up to the last number: a spike is no change.
 CALM_LEAST, CALM_MOST, NIS_MOST = 0.4, 2.0, 25.0
 
 
@@ -53,7 +54,7 @@ def attend(ear, nis, dof, ticks, learning):
         return False
     if ear[WATCHED] != 0.0 and dof > 0.0 and math.isfinite(nis):
         ear[NIS] += ear[SHARE] * (min(nis / dof, NIS_MOST) - ear[NIS])
-        if ear[NOTED] >= ear[JUDGED] and not CALM_LEAST < ear[NIS] < CALM_MOST:
+        if ear[NOTED] >= ear[JUDGED] and not CALM_LEAST * ear[USUAL] < ear[NIS] < CALM_MOST * ear[USUAL]:
             return True
     return ear[NOTED] >= ear[DUE]
 

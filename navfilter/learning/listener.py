@@ -159,6 +159,8 @@ class Listener:
             since=0,
             nis=1.0,
             judged=round(PROBATION_S / self.period_s),
+            usual=1.0,
+            low=False,
             models=models,
             learners=memories(self.learners),
             hop=None,
@@ -250,7 +252,7 @@ class Listener:
         memory, ear = self._memory, self._ear.copy()
         due = memory.due if memory.hop is None else memory.hop.taken
         ear[listen.NOTED], ear[listen.DUE], ear[listen.WATCHED] = memory.cursor.item(), due, self.learns
-        ear[listen.NIS], ear[listen.JUDGED] = memory.nis, memory.judged
+        ear[listen.NIS], ear[listen.JUDGED], ear[listen.USUAL] = memory.nis, memory.judged, memory.usual
         return ear
 
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
@@ -305,12 +307,22 @@ class Listener:
         self.judge()
 
     def judge(self) -> None:
-        """Whether the error has changed, by the mean NIS."""
-        memory = self._memory
-        if int(memory.cursor[0]) < memory.judged or listen.CALM_LEAST < memory.nis < listen.CALM_MOST:
+        """Whether the error has changed, by the mean NIS.
+
+        What is too low once more, by a model that was learnt since, is no change: more white noise is described beside
+        what is learnt than there is, and no model makes up for that.
+        """
+        memory, now = self._memory, int(self._memory.cursor[0])
+        if now < memory.judged or listen.CALM_LEAST < memory.nis / memory.usual < listen.CALM_MOST:
             return
+        time_constant = round(MEMORY_S / self.period_s)
+        low = memory.nis < memory.usual
+        if low and memory.low and now < memory.judged + time_constant and memory.usual == 1.0:
+            memory.usual, memory.judged = memory.nis, now + time_constant
+            return
+        memory.usual, memory.low = 1.0, low
         # noticed within a time constant
-        self.learn_anew(round(MEMORY_S / self.period_s))
+        self.learn_anew(time_constant)
 
     def learn_anew(self, ticks: int = 0) -> None:
         """From now on learn only from the last so many ticks, and from what comes."""

@@ -69,6 +69,10 @@ class ListenerMemory:
         Mean NIS per degree of freedom of late.
     judged : int
         From this tick on the model in force is judged by it.
+    usual : float
+        What it is where nothing changes: 1, or less where white noise is described that is not there.
+    low : bool
+        When the error last seemed to have changed, it was less.
     models : tuple of ErrorModel
         Of each axis, as learnt last.
     learners : tuple of LearnerMemory or None
@@ -89,6 +93,8 @@ class ListenerMemory:
     since: int
     nis: float
     judged: int
+    usual: float
+    low: bool
     models: tuple[ErrorModel, ...]
     learners: tuple[LearnerMemory | None, ...]
     hop: Hop | None
