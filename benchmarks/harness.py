@@ -20,6 +20,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -178,8 +179,8 @@ def hour(minutes: float = 60.0) -> tuple[nf.Vehicle, nf.Mission]:
     slow = nf.GaussMarkov(sd=0.01, tau_s=10.0) + nf.White(sd=0.01)
     sensors = {
         "compass": nf.Heading(rate_hz=8, error=nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0) + nf.White(sd=0.1 * DEG)),
-        "dvl": nf.BodyVelocity(rate_hz=4, error=slow, scale_sd=0.003, misalignment_sd_rad=0.005),
-        "depth": nf.Depth(rate_hz=1, error=nf.White(sd=0.05), offset_sd_m=0.2),
+        "dvl": replace(base.sensors["dvl"], rate_hz=4, error=slow, scale_sd=0.003, misalignment_sd_rad=0.005),
+        "depth": replace(base.sensors["depth"], rate_hz=1, error=nf.White(sd=0.05), offset_sd_m=0.2),
         "gps": base.sensors["gps"],
     }
     return nf.Vehicle(base.drive, sensors, "survey, standard hour"), mission

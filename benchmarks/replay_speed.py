@@ -130,7 +130,9 @@ def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Missio
         spent[0] += time.thread_time() - began
         return learnt
 
-    nf.replay(vehicle, mission), nf.replay(learning, mission)
+    nf.replay(vehicle, mission)
+    if nf.replay(learning, mission).counts["given-up"]:
+        print("what is learnt is given up under way: this is not the price of learning")
     listener.hop_together = timed
     table = Table("turn>4d plain_s>9.2f learning_s>10.2f looks_s>9.2f adds>6.2f")
     for turn in range(turns):
