@@ -22,6 +22,7 @@ from navfilter.arma.continuous import gauss_markov
 from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
 from navfilter.constants import ROOT_HOUR
+from navfilter.notebook import Typed
 
 __all__ = [
     "Arma",
@@ -100,7 +101,7 @@ def _as_walk(block: Block) -> Integrated:
     return Integrated(block.r, float(block.C @ block.Q @ block.C), float(block.C @ block.P0 @ block.C))
 
 
-class ErrorModel:
+class ErrorModel(Typed):
     """Base of all error models; a model is a frozen value and models add with ``+``."""
 
     def block(self, period_s: float) -> Block:
@@ -347,8 +348,11 @@ class Sum(ErrorModel):
         each = [part.integrated(period_s) for part in self.parts]
         return Integrated(sum(e.white for e in each), sum(e.walk for e in each), sum(e.start for e in each))
 
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.parts))
+
     def __str__(self) -> str:
-        return " + ".join(str(part) for part in self.parts)
+        return " + ".join(map(str, self.parts))
 
 
 def block_diagonal(matrices: Sequence[Array]) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import snapshot as snapshots
-from navfilter.filter.condition import health_of
+from navfilter.filter.condition import Running, health_of
 from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.filter.events import Outcome
 from navfilter.filter.health import Health, LaneHealth
@@ -64,7 +64,7 @@ def begin_anew(nav: Navigator, source: Navigator) -> Transplant:
     return new
 
 
-class LaneNavigator:
+class LaneNavigator(Running):
     """A navigator for a vehicle with lanes: what `Navigator` is for one with a single drive, with the same methods.
 
     Parameters

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from navfilter import utc
 from navfilter.mapped import give_back
-from navfilter.notebook import card
+from navfilter.notebook import Value, often, span
 
 Array = npt.NDArray[np.float64]
 
@@ -40,8 +40,8 @@ class MissionError(ValueError):
     """A mission cannot be read: which file, what is wrong with it and what to do, in one line."""
 
 
-@dataclass(frozen=True, eq=False)
-class Stream:
+@dataclass(frozen=True, eq=False, repr=False)
+class Stream(Value):
     """Readings of one sensor.
 
     Parameters
@@ -101,6 +101,15 @@ class Stream:
     def __len__(self) -> int:
         return self.time_s.size
 
+    @property
+    def in_words(self) -> str:
+        """How many readings, how often, of what."""
+        own = ", each with its sd" if self.sd is not None else ""
+        return f"{often(self.time_s, 'readings')}: {', '.join(self.columns)}{own}"
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        return f"Stream{span(self.time_s)}, {self.in_words}", {}
+
     def keep(self, rows: Any) -> Stream:
         """Same columns, only the given rows (a mask, a slice or increasing indices)."""
         return Stream(self.time_s[rows], self.value[rows], self.columns, None if self.sd is None else self.sd[rows])
@@ -138,8 +147,8 @@ def _complaint(time_s: Array, value: Array) -> str:
     return f"{np.count_nonzero(np.isinf(value))} values are infinite; use NaN for a missing value."
 
 
-@dataclass(frozen=True, eq=False)
-class Mission:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mission(Value):
     """Everything recorded on one mission, ready to be replayed.
 
     Parameters
@@ -203,18 +212,16 @@ class Mission:
         """From the first reading of any stream to the last [s]; 0 when there is none."""
         return 0.0 if np.isnan(self.begin_s) else float(self.end_s - self.begin_s)
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> tuple[str, dict[str, object]]:
         rows: dict[str, object] = {"date": self.date}
         if self.duration_s:
             rows["begins"] = self.begin_utc
             rows["mission time"] = f"{self.begin_s:.1f} to {self.end_s:.1f} s"
         for name, stream in self.streams.items():
-            span_s = float(stream.time_s[-1] - stream.time_s[0]) if len(stream) else 0.0
-            rate = f", {(len(stream) - 1) / span_s:.3g} Hz" if span_s > 0.0 else ""
-            rows[name] = f"{len(stream)} readings{rate}: {', '.join(stream.columns)}"
+            rows[name] = stream.in_words
         rows["truth"] = None if self.truth is None else f"{len(self.truth)} rows"
         rows["notes"] = "; ".join(self.notes) or None
-        return card(f"Mission {self.name}", rows)
+        return f"Mission {self.name}", rows
 
     def stream(self, name: str) -> Stream:
         """One stream by its name. Raises ValueError naming the streams there are."""

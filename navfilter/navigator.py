@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
-from navfilter.filter.condition import health_of, state_of
+from navfilter.filter.condition import Running, health_of, state_of
 from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
@@ -37,7 +37,7 @@ __all__ = ["Navigator", "Outcome"]
 Array = NDArray[np.float64]
 
 
-class Navigator:
+class Navigator(Running):
     """Error-state extended Kalman filter over a vehicle's sensors, in closed loop.
 
     Parameters

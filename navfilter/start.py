@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from navfilter.notebook import Typed
 from navfilter.state import NavState, matrix_from_euler
 
 __all__ = ["Start"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class Start(Typed):
     """Where a run starts and how well that is known.
 
     Parameters

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.filter.health import Health
 from navfilter.filter.integrity import Bounds, Trust
 from navfilter.kernels import strapdown
+from navfilter.notebook import Value, few
 
 __all__ = ["NavState", "Pose", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
 
@@ -118,8 +119,12 @@ class Pose(NamedTuple):
         return math.atan2(C[7], C[8]), -math.asin(min(1.0, max(-1.0, C[6])))
 
 
-@dataclass(frozen=True)
-class NavState:
+def _fixed(values: Array, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NavState(Value):
     """Where the vehicle is, how it moves and points, and how well that is known.
 
     Attributes
@@ -148,6 +153,18 @@ class NavState:
     C_nb: Array
     covariance: Array | None = None
     health: Health | None = None
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        at = f"{math.degrees(self.latitude):.7f}, {math.degrees(self.longitude):.7f} deg, height {self.height:.2f} m"
+        rows: dict[str, object] = {"at": at, "velocity": f"{_fixed(self.velocity_n, 3)} m/s north, east, down"}
+        rows["attitude"] = f"{_fixed(np.degrees(self.roll_pitch_heading), 2)} deg roll, pitch, heading"
+        if self.covariance is not None:
+            sd = self.sd
+            rows["sd"] = f"{few(sd[:3])} m; {few(sd[3:6])} m/s; {few(np.degrees(sd[6:]))} deg"
+        if self.health is not None:
+            told, more = self.health._shown()
+            rows |= {"trust": told.removeprefix("Health: "), **more}
+        return f"NavState at {self.time_s:.3f} s", rows
 
     @property
     def lane(self) -> str:

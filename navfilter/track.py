@@ -16,6 +16,7 @@ from navfilter.filter.tape import Residuals
 from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.mission import Stream
+from navfilter.notebook import Value, often, span
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ _BY_ROW = (
 )
 
 
-@dataclass(frozen=True)
-class TrackErrors:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackErrors(Value):
     """Estimated minus true along a track; NaN where there is no truth.
 
     Attributes
@@ -69,9 +70,17 @@ class TrackErrors:
         """Horizontal distance to the truth [m], shape (n,)."""
         return np.hypot(self.position_n[:, 0], self.position_n[:, 1])
 
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        known = int(np.count_nonzero(np.isfinite(self.horizontal)))
+        rows: dict[str, object] = {"truth": f"at {known} of {len(self.time_s)} rows"}
+        rows["position"] = _in_words(self.horizontal, "m, horizontal")
+        rows["velocity"] = _in_words(np.linalg.norm(self.velocity_n, axis=1), "m/s")
+        rows["heading"] = _in_words(np.degrees(self.heading), "deg")
+        return f"TrackErrors{span(self.time_s)}, {often(self.time_s, 'rows')}", rows
 
-@dataclass(frozen=True)
-class Track:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
     """What a run found out.
 
     Attributes
@@ -134,7 +143,7 @@ class Track:
     residuals: dict[str, Residuals]
     error_models: dict[str, list[tuple[float, Any]]]
     counts: dict[str, int] = field(default_factory=dict)
-    cpu_s: float = 0.0
+    cpu_s: float = field(default=0.0, compare=False)
     forward: Track | None = None
     state_units: tuple[str, ...] = ()
     revised: Track | None = None
@@ -254,8 +263,8 @@ class Track:
 
         return plot(self)
 
-    def _repr_html_(self) -> str:
-        return views.html(self)
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        return views.shown(self)
 
     def attitude_sd(self) -> Array:
         """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation
@@ -345,6 +354,12 @@ class Track:
         result["adopted"] = self.adopted()
         result["cpu_s"] = self.cpu_s
         return result
+
+
+def _in_words(errors: Array, unit: str) -> str | None:
+    """Root mean square and largest of those that are known."""
+    known = np.abs(errors[np.isfinite(errors)])
+    return f"{_rms(known):.3g} rms, {known.max():.3g} at most [{unit}]" if len(known) else None
 
 
 def _plain(time_s: float, part: LearnedArma, model: ArmaModel, period_s: float) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A track as a table of pandas, and in a notebook."""
+"""A track as a table of pandas, and as it shows itself."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter import utc
-from navfilter.notebook import card
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from navfilter.track import Track
 
-__all__ = ["frame", "html"]
+__all__ = ["frame", "shown"]
 
 Array = NDArray[np.float64]
 
@@ -54,8 +53,8 @@ def frame(track: Track) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def html(track: Track) -> str:
-    """The table of a track in a notebook."""
+def shown(track: Track) -> tuple[str, dict[str, object]]:
+    """Title and rows by which a track shows itself, at a prompt and in a notebook."""
     rows: dict[str, object] = {"mission": track.mission_name, "vehicle": track.vehicle.name, "rows": len(track)}
     if len(track):
         sd = np.sqrt(np.trace(track.covariance[-1, :2, :2]))
@@ -69,4 +68,4 @@ def html(track: Track) -> str:
     for name, residuals in track.residuals.items():
         rows[name] = f"{residuals.count('used')} used, {residuals.count('rejected')} rejected"
     rows["learnt"] = ", ".join(track.adopted()) or None
-    return card(f"Track, {track.label}", rows)
+    return f"Track, {track.label}", rows

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.mechanisation import Coasting, Imu, Mechanisation
-from navfilter.notebook import card
+from navfilter.notebook import card, typed
 from navfilter.sensors import Attitude, Sensor
 
 __all__ = ["Vehicle"]
@@ -55,7 +55,7 @@ class Vehicle:
     >>> from navfilter import Depth, GaussMarkov, Heading, Imu, Vehicle
     >>> vehicle = Vehicle(imu=Imu(rate_hz=100), sensors={"compass": Heading(rate_hz=8), "depth": Depth(rate_hz=1)})
     >>> vehicle.with_error(compass=GaussMarkov(sd=0.01, tau_s=30)).sensors["compass"].error
-    GaussMarkov(sd=0.01, tau_s=30, order=1)
+    GaussMarkov(sd=0.01, tau_s=30)
     >>> list(vehicle.without("depth").sensors)
     ['compass']
     """
@@ -100,6 +100,29 @@ class Vehicle:
         object.__setattr__(self, "dead_reckoning_lane", dead_reckoning_lane)
         if dead_reckoning_lane:
             _ = self.lanes()
+
+    def __repr__(self) -> str:
+        """As it is typed in, a line for each sensor."""
+
+        def table(name: str, parts: Mapping[str, Any]) -> list[str]:
+            return [f"    {name}={{", *(f"        {key!r}: {typed(part)}," for key, part in parts.items()), "    },"]
+
+        drive = f"    {'imu' if self.drive.inertial else 'drive'}={typed(self.drive)},"
+        lane = self.dead_reckoning_lane
+        return "\n".join(
+            [
+                "Vehicle(",
+                *(table("imus", self.imus) if self.imus else [drive]),
+                *(table("sensors", self.sensors) if self.sensors else []),
+                *([f"    name={self.name!r},"] if self.name != "vehicle" else []),
+                *([f"    dead_reckoning_lane={lane},"] if lane is not None else []),
+                ")",
+            ]
+        )
+
+    def __hash__(self) -> int:
+        parts = frozenset(self.sensors.items()), frozenset(self.imus.items())
+        return hash((self.drive, *parts, self.name, self.dead_reckoning_lane))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self.drive, dict(self.sensors), self.name, dict(self.imus), self.dead_reckoning_lane)
@@ -160,7 +183,7 @@ class Vehicle:
     def _repr_html_(self) -> str:
         drives: Mapping[str, Mechanisation] = self.imus or {"drive": self.drive}
         parts = {**drives, **self.sensors}
-        return card(f"Vehicle {self.name}", {name: _in_short(part) for name, part in parts.items()})
+        return card(f"Vehicle {self.name}", {name: typed(part) for name, part in parts.items()})
 
     def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
         """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
@@ -217,12 +240,3 @@ def _checked_units(imus: Mapping[str, Imu], sensors: Mapping[str, Sensor]) -> di
         if key in sensors or key == DEAD_RECKONING or (key in RESERVED and key != "imu"):
             raise ValueError(f'"{key}" has another meaning in this vehicle; give the inertial unit another name.')
     return dict(imus)
-
-
-def _in_short(value: object) -> str:
-    """A description with those of its fields that are not at their defaults."""
-    if not dataclasses.is_dataclass(value):
-        return f"{value:g}" if isinstance(value, float) else str(value)
-    fields = [field for field in dataclasses.fields(value) if getattr(value, field.name) != field.default]
-    given = ", ".join(f"{field.name}={_in_short(getattr(value, field.name))}" for field in fields)
-    return f"{type(value).__name__}({given})"

@@ -57,7 +57,7 @@ def test_a_mission_shows_itself():
 def test_a_vehicle_shows_what_is_not_at_its_default():
     rows = Cells(small_run()[1]["forward"].vehicle._repr_html_()).rows
     assert rows["depth"] == "Depth(error=White(sd=0.05))"
-    assert rows["drive"].startswith("DeadReckoning(rate_hz=4, attitude=Heading(rate_hz=4, error=GaussMarkov(")
+    assert rows["drive"].startswith("DeadReckoning(rate_hz=4.0, attitude=Heading(rate_hz=4.0, error=GaussMarkov(")
 
 
 def test_names_are_text():

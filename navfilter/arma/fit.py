@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,14 +13,15 @@ from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.objective import GapFree, Objective, Point, WithGaps, minimise
 from navfilter.arma.problem import PART, Problem
 from navfilter.arma.roots import resolved_radius
+from navfilter.notebook import Value, few
 
 __all__ = ["ArmaFit", "fit_arma"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class ArmaFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmaFit(Value):
     """A fitted ARMA model with its likelihood and residuals.
 
     Attributes
@@ -62,12 +63,21 @@ class ArmaFit:
     aicc: float
     bic: float
     hq: float
-    residuals: Array = field(repr=False)
+    residuals: Array
     trend: Array
     n: int
     d: int
     method: str
     flags: frozenset[str]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        sds = np.sqrt(np.diag(self.covariance))
+        rows: dict[str, object] = {"ar": _with_sds(self.ar, sds[: self.p]), "ma": _with_sds(self.ma, sds[self.p :])}
+        rows |= {"sd": f"{self.sd:.4g}", "trend": few(self.trend) or None}
+        rows["loglik"] = f"{self.loglik:.6g} of {self.n} samples by {self.method}"
+        rows |= {name: f"{getattr(self, name):.6g}" for name in CRITERIA}
+        differenced = f", differenced {self.d} times" if self.d else ""
+        return f"ArmaFit({self.p}, {self.q}){differenced}", rows | {"flags": ", ".join(sorted(self.flags)) or None}
 
     @property
     def p(self) -> int:
@@ -92,6 +102,10 @@ class ArmaFit:
             ar, covariance = np.convolve(ar, [1.0, -1.0]), longer @ covariance @ longer.T
         spread = None if self.d else log_s0_sd(self.ar, self.ma, self.covariance, self.n)
         return ArmaModel(ar[1:], self.ma, self.sd, covariance, spread, float(self.n), self.flags)
+
+
+def _with_sds(values: Array, sds: Array) -> str | None:
+    return ", ".join(f"{value:.4g} +- {sd:.2g}" for value, sd in zip(values, sds, strict=True)) or None
 
 
 def fit_arma(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.roots import is_stable, roots_of
 from navfilter.arma.stationary import observer, settled
+from navfilter.notebook import Typed
 
 __all__ = [
     "ArmaModel",
@@ -69,7 +70,7 @@ def log_s0_sd(ar: ArrayLike, ma: ArrayLike, covariance: ArrayLike, window: float
 
 
 @dataclass(frozen=True, eq=False)
-class ArmaModel:
+class ArmaModel(Typed):
     """An ARMA model of a sampled series: a value that never changes.
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,14 +13,15 @@ from navfilter.arma.fit import ArmaFit, fitted
 from navfilter.arma.objective import Objective, Point, minimise
 from navfilter.arma.problem import Problem
 from navfilter.diagnostics import Whiteness, whiteness
+from navfilter.notebook import Value
 
 __all__ = ["OrderTable", "select_order"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class OrderTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderTable(Value):
     """Criteria of every order, rows p = 0 ... max_p, columns q = 0 ... max_q.
 
     Attributes
@@ -50,8 +51,16 @@ class OrderTable:
     whiteness: Array
     is_white: NDArray[np.bool_]
     best: tuple[int, int]
-    fit: ArmaFit = field(repr=False)
-    fits: dict[tuple[int, int], ArmaFit] = field(repr=False)
+    fit: ArmaFit
+    fits: dict[tuple[int, int], ArmaFit]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        most = tuple(size - 1 for size in self.bic.shape)
+        rows: dict[str, object] = {"tried": f"{len(self.fits)} orders up to {most}"}
+        rows["white residuals"] = f"{int(self.is_white.sum())} of them"
+        near = sorted(self.fits, key=lambda order: self.fits[order].bic)[:3]
+        rows["least bic"] = ", ".join(f"{order} {self.fits[order].bic:.6g}" for order in near)
+        return f"OrderTable, best {self.best}", rows | {name: self.fit._shown()[1][name] for name in ("ar", "ma", "sd")}
 
 
 def select_order(

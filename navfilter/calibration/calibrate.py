@@ -15,6 +15,7 @@ from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, d
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.error_models import White
 from navfilter.mission import Mission, Stream
+from navfilter.notebook import Shown
 from navfilter.sensors import Position
 from navfilter.vehicle import Vehicle
 
@@ -69,8 +70,8 @@ class Found:
     believed: bool = True
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Shown):
     """Result of `calibrate`.
 
     Attributes
@@ -99,6 +100,14 @@ class Calibration:
     settled: bool
     rounds: int
     constants: tuple[Constant, ...]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {}
+        for one in self.found:
+            as_found = f"{one.value:.4g} +- {one.sd:.2g} {one.unit}" if one.told else "not told"
+            doubt = "" if one.believed else ", not believed"
+            rows[one.name] = f"{one.before:.4g} +- {one.before_sd:.2g} -> {as_found}{doubt}"
+        return f"Calibration of {self.vehicle.name}, {'kept' if self.kept else 'not kept'}: {self.why}", rows
 
     @property
     def why(self) -> str:

@@ -125,7 +125,7 @@ def _common(tracks: Mapping[str, Track]) -> dict[str, Array]:
 # --- the result -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """Runs of one mission side by side; ``print`` it.
 
@@ -146,7 +146,7 @@ class Comparison:
     baseline: str | None = None
     remarks: tuple[str, ...] = ()
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         from navfilter.report.page import table_text
 
         return "\n".join([table_text(["", *self.runs], self.rows()), *self.notes()])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,25 @@ from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import CALM, Health, LearningHealth, Watch
 from navfilter.filter.refused_way import since_fix
+from navfilter.learning.learned import learning_part
+from navfilter.notebook import Shown
 from navfilter.state import NavState
 
-__all__ = ["health_of", "state_of"]
+__all__ = ["Running", "health_of", "state_of"]
 
 Array = NDArray[np.float64]
+
+
+class Running(Shown):
+    """A navigator shows itself by its vehicle, its state now, and the models that it has learnt."""
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        now: Any = self
+        title, rows = now.state._shown()
+        filter = getattr(now, "believed", now).filter
+        learns = {name: s.models for name, s in filter.in_force.sensors.items() if any(map(learning_part, s.models))}
+        rows |= {f"error of {name}": ", ".join(dict.fromkeys(map(str, models))) for name, models in learns.items()}
+        return f"{type(self).__name__} of {now.vehicle.name}, {title.removeprefix('NavState ')}", rows
 
 
 def state_of(filter: Filter, watches: Mapping[str, Watch], clock: DriveClock, learning: LearningHealth) -> NavState:

@@ -25,6 +25,7 @@ from navfilter.kernels.stretch import (
     USED_S,
     WHOLE_S,
 )
+from navfilter.notebook import Value
 
 if TYPE_CHECKING:
     from navfilter.sensors import Sensor
@@ -60,6 +61,13 @@ class SensorHealth:
     age_s: float
     outcomes: dict[str, int]
     nis: float
+
+    @property
+    def in_words(self) -> str:
+        """Condition, and what became of its readings."""
+        age = f", last used {self.age_s:.1f} s ago" if math.isfinite(self.age_s) else ""
+        met = ", ".join(f"{count} {name}" for name, count in self.outcomes.items() if count)
+        return f"{self.condition}{age}{met and f'; {met}'}" + ("" if math.isnan(self.nis) else f"; NIS {self.nis:.2f}")
 
 
 @dataclass(frozen=True)
@@ -103,8 +111,8 @@ class LaneHealth:
     nis: float = math.nan
 
 
-@dataclass(frozen=True)
-class Health:
+@dataclass(frozen=True, eq=False, repr=False)
+class Health(Value):
     """Condition of the whole.
 
     Attributes
@@ -151,6 +159,17 @@ class Health:
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
     lanes: dict[str, LaneHealth] = field(default_factory=dict)
     lane_reason: str = ""
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {"because": None if self.trust is None else "; ".join(self.trust.reasons) or None}
+        rows["carried by"] = ": ".join(part for part in (self.lane, self.lane_reason) if part) or None
+        if self.bounds is not None:
+            rows["within"] = f"{self.bounds.horizontal_m:.3g} m, {math.degrees(self.bounds.heading_rad):.3g} deg"
+        rows["axes"] = ", ".join(f"{name} {now}" for name, now in self.axes.items() if now != "good") or None
+        rows |= {name: sensor.in_words for name, sensor in self.sensors.items()}
+        rows |= {f"lane {name}": f"{lane.condition}, gain {lane.gain:.3g}" for name, lane in self.lanes.items()}
+        rows["irregular"] = ", ".join(f"{count} {name}" for name, count in self.drive.items() if count) or None
+        return "Health" if self.trust is None else f"Health: {self.trust.level}", rows
 
     @property
     def degraded(self) -> tuple[str, ...]:

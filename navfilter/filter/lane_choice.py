@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.mechanisation import Imu
+from navfilter.notebook import Value, span
 from navfilter.sensors import Sensor
 
 __all__ = ["STEP_S", "Choice", "ChoiceMemory", "LaneHistory"]
@@ -105,8 +106,8 @@ class ChoiceMemory:
     why: Array
 
 
-@dataclass(frozen=True, eq=False)
-class LaneHistory:
+@dataclass(frozen=True, eq=False, repr=False)
+class LaneHistory(Value):
     """How the lanes of a vehicle did along a run.
 
     Attributes
@@ -127,6 +128,14 @@ class LaneHistory:
     gain: Array
     nis: Array
     reasons: tuple[str, ...]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {}
+        for name, gain in zip(self.names, self.gain.T, strict=True):
+            known = gain[np.isfinite(gain)]
+            rows[name] = f"mean gain {known.mean():.3g}" if len(known) else "never compared"
+        rows["left"] = "; ".join(self.reasons) or None
+        return f"LaneHistory{span(self.time_s)}, {len(self.time_s)} comparisons", rows
 
 
 class Choice:

@@ -16,8 +16,8 @@ import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Saved", "content", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 12
+FORMAT = 13
 #: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.
 LARGEST = 256 << 20
 
@@ -73,7 +73,25 @@ def fingerprint(vehicle: Vehicle) -> str:
     lanes = vehicle.lanes()
     if lanes:
         parts += ({name: lane.drive for name, lane in lanes.items()},)  # type: ignore[assignment]
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
+    return hashlib.sha256(_spelt(parts).encode()).hexdigest()
+
+
+def _spelt(value: Any) -> str:
+    """Every field of a description that is compared: what `repr` leaves out because it is at its default today may have
+    another one in the next version. Whether a number was typed as 8 or 8.0, or is one of NumPy, makes no difference.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        return _spelt(value.tolist())
+    if is_dataclass(value):
+        parts = (f"{f.name}={_spelt(getattr(value, f.name))}" for f in fields(value) if f.compare)
+        return f"{type(value).__qualname__}({', '.join(parts)})"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_spelt(part)}' for key, part in value.items())}}}"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_spelt, value))})"
+    if isinstance(value, frozenset):
+        return f"({', '.join(sorted(map(_spelt, value)))})"
+    return repr(float(value)) if type(value) is int else repr(value)
 
 
 def write(saved: Saved, vehicle: Vehicle, time_s: float, path: str | PathLike[str] | None) -> bytes:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.spool import Spool
+from navfilter.notebook import Shown, Value, often, span
 
 __all__ = ["CHANGE", "OUTCOMES", "Residuals", "Tape", "triangle"]
 
@@ -33,8 +34,8 @@ def triangle(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.tril_indices(n)
 
 
-@dataclass(frozen=True)
-class Residuals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals(Value):
     """Residuals of one sensor, one row per reading.
 
     Attributes
@@ -67,6 +68,16 @@ class Residuals:
     def used(self) -> NDArray[np.bool_]:
         """Mask of the readings that corrected the state."""
         return self.outcome == 0
+
+    @property
+    def in_words(self) -> str:
+        """What became of the readings."""
+        met = [name for name in OUTCOMES if name in ("used", "rejected") or self.count(name)]
+        return ", ".join(f"{self.count(name)} {name}" for name in met)
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        axes = f"{self.value.shape[1]} axes, " if self.value.shape[1] > 1 else ""
+        return f"Residuals{span(self.time_s)}, {often(self.time_s, 'readings')}: {axes}{self.in_words}", {}
 
 
 @dataclass
@@ -124,7 +135,7 @@ class _Column:
         )
 
 
-class Tape:
+class Tape(Shown):
     """Everything a run writes down.
 
     Parameters
@@ -152,6 +163,12 @@ class Tape:
         self.smoothable, self._memory_bytes, self._expected = smoothable, memory_bytes, 0
         self.each_sample = output_rate_hz is None and not smoothable
         self.begin(None)
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {"rows": len(self.row_times), "records": len(self.records) or None}
+        rows["mission time"] = f"{self.row_times[0]:.1f} to {self.row_times[-1]:.1f} s" if self.row_times else None
+        rows["kept for"] = "track and smoother" if self.smoothable else "track"
+        return "Tape", rows | {name: column.residuals().in_words for name, column in self.columns.items()}
 
     def expect(self, rows: int) -> None:
         """So many rows are to come at most. Those of a run that is not smoothed are those of the track: they stay where

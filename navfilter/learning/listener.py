@@ -33,6 +33,7 @@ from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
 from navfilter.learning.worker import Task, Worker
+from navfilter.notebook import Value
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
@@ -50,8 +51,8 @@ LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
 
 
-@dataclass(frozen=True)
-class ChannelSeries:
+@dataclass(frozen=True, eq=False, repr=False)
+class ChannelSeries(Value):
     """Readings of one axis minus what an open loop would have predicted.
 
     Attributes
@@ -69,6 +70,10 @@ class ChannelSeries:
     drift: Drift
     period_s: float
     white: float
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        known = int(np.count_nonzero(np.isfinite(self.value)))
+        return f"ChannelSeries, {known} of {len(self.value)} ticks of {self.period_s:.4g} s", {}
 
 
 class Listener:

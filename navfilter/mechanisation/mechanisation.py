@@ -22,6 +22,7 @@ from navfilter.filter.layout import (
 from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import Drift
 from navfilter.mission import Stream
+from navfilter.notebook import Typed
 from navfilter.sensors import BodyVelocity, Heading
 from navfilter.sensors.sensor import Errors
 from navfilter.sensors.traits import Columns, Doubt, Plausible
@@ -80,7 +81,7 @@ class Triple(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mechanisation:
+class Mechanisation(Typed):
     """What both drives share: six channels whose errors enter the propagation.
 
     Parameters

@@ -16,6 +16,7 @@ from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, con
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import resolve_prior
+from navfilter.notebook import Typed
 from navfilter.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.start import Start
 
@@ -39,7 +40,7 @@ LARGEST = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class Sensor(Typed):
     """What all correcting sensors share.
 
     Parameters

@@ -139,9 +139,9 @@ def _difference(folder: Path, vehicle: Vehicle) -> str:
     if fingerprint(logged) == fingerprint(vehicle):
         return ""
     drives = [(vehicle.drive, vehicle.imus, vehicle.dead_reckoning_lane) for vehicle in (logged, vehicle)]
-    drive = ["the drive"] * (repr(drives[0]) != repr(drives[1]))
+    drive = ["the drive"] * (drives[0] != drives[1])
     every = {**logged.sensors, **vehicle.sensors}
-    names = [name for name in every if repr(logged.sensors.get(name)) != repr(vehicle.sensors.get(name))]
+    names = [name for name in every if logged.sensors.get(name) != vehicle.sensors.get(name)]
     return f"this log is of another vehicle ({', '.join(drive + names) or 'its name'} differs)"
 
 

@@ -15,6 +15,7 @@ from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.online.recursive import RecursiveArma
 from navfilter.arma.roots import cap_poles, has_unit_root, resolved_radius
 from navfilter.kernels import arma as kernel
+from navfilter.notebook import Shown, few
 
 __all__ = ["ArmaBank", "moment_gm1"]
 
@@ -26,7 +27,7 @@ BANK_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (
 HOPELESS, POLISHES = 30.0, 8
 
 
-class ArmaBank:
+class ArmaBank(Shown):
     """Candidate orders side by side on the same samples; hands out one immutable, stable model.
 
     At each hop every candidate is polished on the same window, compared by an information criterion over the same
@@ -95,6 +96,13 @@ class ArmaBank:
         self._stale = 0
         self._walk_sd = 0.0
         self._model = ArmaModel(np.zeros(0), np.zeros(0), 0.0, effective_window=0.0, flags=frozenset({"starting"}))
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {"samples": f"{self.candidates[0].n_seen}, window {self.window}"}
+        rows |= {"order": self.order, "walk_sd": f"{self.walk_sd:.4g}" if self.walk_sd else None}
+        rows |= {"ar": few(self.model.ar) or None, "ma": few(self.model.ma) or None, "sd": f"{self.model.sd:.4g}"}
+        rows["flags"] = ", ".join(sorted(self.model.flags)) or None
+        return f"ArmaBank of {len(self.orders)} orders", rows
 
     def _side_by_side(self) -> None:
         """Lay the candidates' states and samples into two arrays, so that one kernel call serves all."""

@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.online.bank import ArmaBank
 from navfilter.arma.online.recursive import RecursiveArma
+from navfilter.notebook import Shown
 
 __all__ = ["FrontEnd", "find_resolution", "repeat_share"]
 
 Array = NDArray[np.float64]
 
 
-class FrontEnd:
+class FrontEnd(Shown):
     """Conditions the samples of one sensor channel and feeds them to an online estimator.
 
     The first `learn` samples are looked at before any is passed on: the step of the digits is found, and how often a
@@ -78,6 +79,13 @@ class FrontEnd:
         self._last = math.nan
         self._lags = [math.nan] * self.difference
         self._season_lags = [math.nan] * self.season
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        looking = f", looking at the first {self.learn} samples" * (not self._learnt)
+        title, rows = self.estimator._shown()
+        repeats = f"{self._handling}, {self.dropped} so far"
+        rows = {"resolution": f"{self.resolution:.4g}", "repeats": repeats, "difference": self.difference, **rows}
+        return f"FrontEnd of {title}{looking}", rows
 
     def update(self, x: float, exog: ArrayLike | None = None) -> None:
         """Take one raw sample (NaN if it is missing) and the estimator's regressors, if it has any."""

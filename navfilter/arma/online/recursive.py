@@ -12,13 +12,14 @@ from navfilter.arma.online.window import WindowFit
 from navfilter.arma.roots import has_unit_root, is_stable
 from navfilter.diagnostics import whiteness
 from navfilter.kernels import arma as kernel
+from navfilter.notebook import Shown, few
 
 __all__ = ["RecursiveArma"]
 
 Array = NDArray[np.float64]
 
 
-class RecursiveArma:
+class RecursiveArma(Shown):
     """Coefficients of an ARMA(p, q) model, followed sample by sample over a sliding window.
 
     Between hops each sample makes one step of the recursive prediction-error method (regressor filtered by 1/C,
@@ -128,6 +129,11 @@ class RecursiveArma:
         head[kernel.DUE] = min(self.window, max(200, 30 * (self.p + self.q)))
         if self.mean:
             self._s[kernel.PHI, self.p + self.q] = 1.0
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {"samples": f"{self.n_seen}, window {self.window}"}
+        rows |= {"ar": few(self.ar) or None, "ma": few(self.ma) or None, "sd": f"{self.sd:.4g}"}
+        return f"RecursiveArma({self.p}, {self.q})" + ("" if self.is_running else ", not begun yet"), rows
 
     # ------------------------------------------------------------------ samples in
 
