@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.constants import STANDARD_GRAVITY
+from navfilter.handed_over import needs
 from navfilter.lane_missions import of_one_unit
 from navfilter.mechanisation import Mechanisation
 from navfilter.mission import Mission, Stream
@@ -84,11 +85,16 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     ValueError
         When there is no position, no source of heading, or the vehicle moves too hard to be levelled.
     """
+    needs("align: vehicle", vehicle, Vehicle, hint="It is align(vehicle, mission).")
+    needs("align: mission", mission, Mission, hint="It is align(vehicle, mission).")
+    if not (isinstance(window_s, int | float) and window_s > 0.0):
+        raise ValueError(f"align: window_s must be > 0 seconds, found {window_s!r}.")
     if vehicle.lanes():
         return _by_the_first_unit(vehicle, mission, window_s)
     drive = mission.streams.get(vehicle.drive.streams[0])
     if drive is None or not len(drive):
-        raise ValueError(f'the drive needs a stream "{vehicle.drive.streams[0]}" in this mission.')
+        lacks = "has no" if drive is None else "has no reading in its"
+        raise ValueError(f'this mission {lacks} stream "{vehicle.drive.streams[0]}", which the drive needs.')
     fixes = _fixes(vehicle, mission)
     first = _first_fix(fixes, vehicle, window_s)
     begin = max(fixes.time_s[first], drive.time_s[0])

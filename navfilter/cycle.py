@@ -42,9 +42,10 @@ class Cycle(ErrorModel):
     tau_s: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, least in (("sd", "not negative"), ("period_s", "> 0"), ("tau_s", "> 0")):
             value = getattr(self, name)
-            if not (math.isfinite(value) and (value > 0.0 or (name == "sd" and value == 0.0))):
+            if not (value is not None and math.isfinite(value) and (value > 0.0 or (name == "sd" and value == 0.0))):
                 raise ValueError(f"Cycle.{name} must be a finite number {least}, found {value!r}.")
 
     def block(self, period_s: float) -> Block:

@@ -11,6 +11,7 @@ import scipy  # its parts are imported when they are first used: that takes a se
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.starts import tidy_series
+from navfilter.handed_over import numbers
 from navfilter.kernels import fit as kernels
 
 __all__ = ["WT_WHITE", "Whiteness", "acf", "allan_deviation", "allan_edf", "cross_correlation", "pacf", "whiteness"]
@@ -101,8 +102,8 @@ def cross_correlation(x: ArrayLike, y: ArrayLike, lags: int) -> Array:
 
 
 def _check_lags(lags: int, n: int) -> None:
-    if lags < 0 or lags != int(lags) or lags >= n:
-        raise ValueError(f"lags must be a whole number from 0 to {n - 1} for {n} samples, found {lags}.")
+    if not isinstance(lags, int | float | np.integer) or lags < 0 or lags != int(lags) or lags >= n:
+        raise ValueError(f"lags must be a whole number from 0 to {n - 1} for {n} samples, found {lags!r}.")
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
     r = full[1 : lags + 1]
     pairs = x.size - np.arange(1.0, lags + 1.0)
     if n < x.size:
-        known = np.isfinite(np.asarray(residuals, dtype=np.float64)).astype(np.float64)
+        known = np.isfinite(numbers(residuals, "residuals")).astype(np.float64)
         pairs = np.array([known[k:] @ known[:-k] for k in range(1, lags + 1)])
     box = float(n * (n + 2.0) * np.sum(r**2 / np.maximum(pairs, 1.0)))
     box_p = float(scipy.stats.chi2.sf(box, lags - fitted))

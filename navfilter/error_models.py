@@ -22,7 +22,7 @@ from navfilter.arma.continuous import gauss_markov
 from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
 from navfilter.constants import ROOT_HOUR
-from navfilter.notebook import Typed
+from navfilter.descriptions import Typed
 
 __all__ = [
     "Arma",
@@ -148,8 +148,8 @@ def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
     return model.parts if isinstance(model, Sum) else (model,)
 
 
-def _check(name: str, value: float, *, zero_ok: bool = True) -> None:
-    if not (math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
+def _check(name: str, value: float | None, *, zero_ok: bool = True) -> None:
+    if not (value is not None and math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
         bound = ">= 0" if zero_ok else "> 0"
         raise ValueError(f"{name} must be a finite number {bound}, found {value!r}.")
 
@@ -180,11 +180,12 @@ class White(ErrorModel):
     density: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.sd is None) == (self.density is None):
             raise ValueError(
                 f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}."
             )
-        _check("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)  # type: ignore[arg-type]
+        _check("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)
 
     def block(self, period_s: float) -> Block:
         """Discretise: no state, only a white variance."""
@@ -215,6 +216,7 @@ class RandomWalk(ErrorModel):
     start_sd: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check("RandomWalk.density", self.density)
         if self.start_sd is not None:
             _check("RandomWalk.start_sd", self.start_sd)
@@ -256,6 +258,7 @@ class GaussMarkov(ErrorModel):
     order: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check("GaussMarkov.sd", self.sd)
         _check("GaussMarkov.tau_s", self.tau_s, zero_ok=False)
         if self.order not in CORRELATION_CONSTANTS:
@@ -308,10 +311,13 @@ class Arma(ErrorModel):
     sd: float = field(default=1.0)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("ar", "ma"):
-            values = tuple(float(c) for c in getattr(self, name))
-            if not all(math.isfinite(c) for c in values):
-                raise ValueError(f"Arma.{name} must be finite, found {values}.")
+            given = getattr(self, name)
+            numbers = isinstance(given, tuple) and all(isinstance(c, float | int) for c in given)
+            if not (numbers and all(map(math.isfinite, given))):
+                raise ValueError(f"Arma.{name} must be finite numbers in a sequence, as [-0.8], found {given!r}.")
+            values = tuple(map(float, given))
             object.__setattr__(self, name, values)
         _check("Arma.sd", self.sd)
         if not is_stable(np.array(self.ar)):
@@ -376,6 +382,12 @@ def joined_block(blocks: Sequence[Block]) -> Block:
     return Block(stack["Phi"], stack["Q"], C, sum(b.r for b in blocks), stack["P0"])
 
 
+def _found(error: object) -> str:
+    if isinstance(error, type):
+        return f"the class {error.__name__}, which wants its numbers in brackets"
+    return f"{len(error)} of them" if isinstance(error, tuple) and len(error) > 3 else repr(error)
+
+
 def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) -> tuple[ErrorModel, ...]:
     """One model per axis: a single model serves all axes, a sequence gives one each.
 
@@ -387,7 +399,7 @@ def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) ->
     models = (error,) * axes if isinstance(error, ErrorModel) else tuple(error) if isinstance(error, Sequence) else ()
     if len(models) != axes or not all(isinstance(m, ErrorModel) for m in models):
         raise ValueError(
-            f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + "
-            "RandomWalk(density=1e-4)."
+            f"{owner} needs one error model, or a tuple of {axes}, found {_found(error)}. Example: "
+            "White(sd=0.1) + RandomWalk(density=1e-4)."
         )
     return models

@@ -22,10 +22,12 @@ from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.filter.events import Outcome
 from navfilter.filter.health import Health, LaneHealth
 from navfilter.filter.history import History, Reading
+from navfilter.filter.intake import samples_of
 from navfilter.filter.integrity import Trust
 from navfilter.filter.lane_choice import Choice, ChoiceMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.transplant import Transplant, transplant
+from navfilter.handed_over import needs
 from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigator import Navigator
@@ -103,6 +105,7 @@ class LaneNavigator(Running):
     """
 
     def __init__(self, vehicle: Vehicle, start: Start, history_s: float | None = None) -> None:
+        needs("LaneNavigator: vehicle", vehicle, Vehicle, hint="It is LaneNavigator(vehicle, start).")
         described = vehicle.lanes()
         if not described:
             raise ValueError("this vehicle has no lanes: use Navigator, or give it several inertial units (imus=).")
@@ -149,12 +152,11 @@ class LaneNavigator(Running):
         if name not in self._units:
             raise ValueError(f'"{unit}" is no inertial unit of this vehicle (units: {", ".join(self._units)}).')
         try:
-            times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
-            values = [np.asarray(v, dtype=np.float64).reshape(times.size, 3) for v in (first, second)]
+            samples = samples_of(time_s, first, second)
         except (TypeError, ValueError):
             self.lanes[name].counts["bad-sample"] += 1
             return
-        self.step_samples(np.column_stack([times, *values, np.full(times.size, float(self._units[name]))]))
+        self.step_samples(np.column_stack([samples, np.full(len(samples), float(self._units[name]))]))
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time, the six values and the number of the unit, in the order of `Vehicle.units`."""

@@ -7,6 +7,9 @@ import datetime
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter import utc
+from navfilter.handed_over import numbers
+
 __all__ = ["believable", "calibrate_magnetometer", "declination"]
 
 Array = NDArray[np.float64]
@@ -39,6 +42,9 @@ def declination(latitude_deg: float, longitude_deg: float, height_m: float, date
             "declination_rad=... "
             "(declination_deg in vehicle.toml), or magnetic=False if it reads true heading."
         )
+    if not abs(latitude_deg) <= 90.0:
+        raise ValueError(f"declination: latitude_deg must lie between -90 and 90, found {latitude_deg!r}.")
+    date = utc.day(date, "declination: date")
     year = date.year + (date.timetuple().tm_yday - 1) / 365.25
     if not MODEL_YEARS[0] <= year < MODEL_YEARS[-1] + 5:
         raise ValueError(f"no World Magnetic Model for {date} (2010 to 2029): give the compass its declination_rad.")
@@ -92,13 +98,15 @@ def calibrate_magnetometer(
     ValueError
         With fewer than 20 readings, or when they do not turn through at least about half a circle.
     """
-    m = np.asarray(field, dtype=float).reshape(-1, 3)
+    m = numbers(field, "field")
+    if m.ndim != 2 or m.shape[1] != 3:
+        raise ValueError(f"field must be one row (x, y, z) per reading, found shape {m.shape}.")
     m = m[np.isfinite(m).all(axis=1)]
     if len(m) < 20:
         raise ValueError(f"calibration needs at least 20 readings, found {len(m)}.")
     centre = m.mean(axis=0)
     _, spread, axes = np.linalg.svd(m - centre, full_matrices=False)
-    if spread[1] < 0.15 * spread[0]:
+    if not spread[1] > 0.15 * spread[0]:
         raise ValueError(
             "the readings lie on a short arc: turn the vehicle through at least half a circle for the calibration."
         )

@@ -6,19 +6,22 @@ import dataclasses
 import datetime
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from navfilter import handed_over as given
 from navfilter import utc
+from navfilter.handed_over import needs, numbers, rows_of, short
 from navfilter.mapped import give_back
 from navfilter.notebook import Value, often, span
 
 Array = npt.NDArray[np.float64]
+ArrayLike = npt.ArrayLike
 
 TRUTH_COLUMNS = (
     "latitude_rad",
@@ -74,16 +77,26 @@ class Stream(Value):
     columns: tuple[str, ...] = ()
     sd: Array | None = None
 
+    if TYPE_CHECKING:  # what is handed over becomes what the fields are
+
+        def __init__(
+            self, time_s: ArrayLike, value: ArrayLike, columns: Sequence[str] = (), sd: ArrayLike | None = None
+        ) -> None: ...
+
     def __post_init__(self) -> None:
-        time_s = np.ascontiguousarray(self.time_s, dtype=np.float64)
-        value = np.asarray(self.value, dtype=np.float64)
+        time_s = np.ascontiguousarray(utc.seconds(self.time_s, "time_s"))
+        value = numbers(self.value, "value")
         if time_s.ndim != 1:
             raise ValueError(f"time_s must be one-dimensional, found shape {time_s.shape}.")
+        if not np.ndim(self.time_s):
+            raise ValueError(f"time_s must be a sequence, found {short(self.time_s)}. Of one reading it is [time_s].")
         if value.ndim == 1 and value.shape == time_s.shape:
             value = value[:, np.newaxis]
         if value.ndim != 2 or value.shape[0] != time_s.size:
             raise ValueError(f"value must have one row per time ({time_s.size}), found shape {value.shape}.")
-        columns = tuple(self.columns) or tuple(f"column_{k}" for k in range(value.shape[1]))
+        named = self.columns if len(self.columns) else getattr(self.value, "columns", ())  # of a table of pandas
+        columns = (named,) if isinstance(named, str) else tuple(map(str, named))
+        columns = columns or tuple(f"column_{k}" for k in range(value.shape[1]))
         if len(columns) != value.shape[1]:
             raise ValueError(f"{len(columns)} column names {columns} for {value.shape[1]} columns of values.")
         if not _sound(time_s, value):
@@ -92,7 +105,7 @@ class Stream(Value):
         object.__setattr__(self, "value", np.ascontiguousarray(value))
         object.__setattr__(self, "columns", columns)
         if self.sd is not None:
-            sd = np.ascontiguousarray(self.sd, dtype=np.float64)
+            sd = np.ascontiguousarray(numbers(self.sd, "sd"))
             sd = sd[:, np.newaxis] if sd.ndim == 1 else sd
             if sd.ndim != 2 or len(sd) != time_s.size or not sd.shape[1]:
                 raise ValueError(f"sd must have one row per time ({time_s.size}), found shape {sd.shape}.")
@@ -112,6 +125,7 @@ class Stream(Value):
 
     def keep(self, rows: Any) -> Stream:
         """Same columns, only the given rows (a mask, a slice or increasing indices)."""
+        rows = rows_of(rows)
         return Stream(self.time_s[rows], self.value[rows], self.columns, None if self.sd is None else self.sd[rows])
 
     def later(self, by_s: float) -> Stream:
@@ -181,16 +195,24 @@ class Mission(Value):
     epoch_utc_s: float | None = None
 
     def __post_init__(self) -> None:
+        needs("Mission.name", self.name, str)
+        needs("Mission.streams", self.streams, Mapping, hint='By name: {"depth": Stream(time_s, depth_m)}.')
+        needs("Mission.truth", self.truth, Stream, type(None))
+        if self.start is not None and not hasattr(self.start, "heading_sd_deg"):
+            raise ValueError(f"Mission.start must be a navfilter.Start, found {short(self.start)}.")
         if self.truth is not None and self.truth.columns != TRUTH_COLUMNS:
             raise ValueError(f"truth must have the columns {TRUTH_COLUMNS}, found {self.truth.columns}.")
         for name, stream in self.streams.items():
-            if not isinstance(stream, Stream):
-                raise ValueError(f'stream "{name}" must be a Stream, found {type(stream).__name__}.')
-        if self.epoch_utc_s is not None and not np.isfinite(self.epoch_utc_s):
-            raise ValueError(f"epoch_utc_s must be seconds since 1970, or None, found {self.epoch_utc_s!r}.")
-        object.__setattr__(self, "streams", dict(self.streams))
-        object.__setattr__(self, "notes", tuple(self.notes))
-        object.__setattr__(self, "windows", tuple((float(a), float(b)) for a, b in self.windows))
+            needs("the name of a stream", name, str)
+            needs(f'stream "{name}"', stream, Stream, hint="nf.Stream(time_s, value, columns) is one.")
+        put = object.__setattr__
+        put(self, "streams", dict(self.streams))
+        put(self, "notes", (self.notes,) if isinstance(self.notes, str) else tuple(self.notes))
+        put(self, "windows", given.intervals(self.windows, "Mission.windows"))
+        if self.date is not None:
+            put(self, "date", utc.day(self.date, "Mission.date"))
+        if self.epoch_utc_s is not None:
+            put(self, "epoch_utc_s", utc.epoch(self.epoch_utc_s))
 
     @property
     def begin_s(self) -> float:
@@ -234,6 +256,7 @@ class Mission(Value):
 
     def between(self, t0_s: float, t1_s: float) -> Mission:
         """The part of the mission with t0_s <= time <= t1_s; a start outside it is dropped."""
+        ((t0_s, t1_s),) = given.intervals([(t0_s, t1_s)], "between")
         if not t0_s < t1_s:
             raise ValueError(f"between needs t0_s < t1_s, found {t0_s} and {t1_s}.")
 
@@ -256,7 +279,7 @@ class Mission(Value):
         """Without the readings of one stream inside the closed intervals (t0_s, t1_s)."""
         stream = self.stream(name)
         keep = np.ones(len(stream), dtype=bool)
-        for t0_s, t1_s in intervals:
+        for t0_s, t1_s in given.intervals(intervals, "hide"):
             keep &= ~((stream.time_s >= t0_s) & (stream.time_s <= t1_s))
         return self.with_stream(name, stream.keep(keep))
 

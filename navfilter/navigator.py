@@ -20,6 +20,7 @@ from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors
 from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
+from navfilter.filter.intake import samples_of
 from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
 from navfilter.filter.waiting import Waiting
@@ -134,9 +135,7 @@ class Navigator(Running):
                 samples = self._row
                 samples[0] = time_s, *first, *second
             else:
-                times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
-                values = [np.asarray(v, dtype=np.float64).reshape(times.size, 3) for v in (first, second)]
-                samples = np.column_stack([times, *values])
+                samples = samples_of(time_s, first, second)
         except (TypeError, ValueError):
             self.filter.counts["bad-sample"] += 1
             return

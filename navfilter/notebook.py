@@ -5,7 +5,6 @@ notebook, both by the same title and rows; and when two of them are equal.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from html import escape
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Shown", "Typed", "Value", "card", "few", "lines", "often", "same", "span", "typed"]
+__all__ = ["Shown", "Value", "card", "few", "lines", "often", "same", "span"]
 
 
 def card(title: str, rows: Mapping[str, object]) -> str:
@@ -101,48 +100,6 @@ class Value(Shown):
     def __hash__(self) -> int:
         # shapes alone: large ones are hardly ever keys, and those of one shape are then told apart by their numbers
         return hash(tuple(getattr(value, "shape", ()) for value in vars(self).values()))
-
-
-class Typed:
-    """A description, which shows itself as it is typed in."""
-
-    def __init_subclass__(cls) -> None:
-        # before `dataclass` looks whether there is one: users' own kinds have it, too
-        if "__repr__" not in vars(cls):
-            cls.__repr__ = typed  # type: ignore[method-assign]
-
-
-def typed(value: Any) -> str:
-    """A value as it is typed in, without what is at its default or takes no part in comparisons: what is made of it
-    again is equal.
-
-    Examples
-    --------
-    >>> from navfilter import Heading, White
-    >>> Heading(rate_hz=8, error=White(sd=np.float64(0.01)), gate_timeout_s=np.inf)
-    Heading(rate_hz=8, error=White(sd=0.01), gate_timeout_s=float("inf"))
-    """
-    if isinstance(value, np.ndarray | np.generic):
-        return typed(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return f'float("{value}")'
-    if isinstance(value, tuple) and type(value) is tuple:
-        return f"({', '.join(map(typed, value))}{',' if len(value) == 1 else ''})"
-    if isinstance(value, list):
-        return f"[{', '.join(map(typed, value))}]"
-    if isinstance(value, frozenset):  # the order of its members is another one in each process
-        return f"frozenset({{{', '.join(sorted(map(typed, value)))}}})" if value else "frozenset()"
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{typed(key)}: {typed(part)}' for key, part in value.items())}}}"
-    if isinstance(value, Typed) and type(value).__repr__ is typed and dataclasses.is_dataclass(value):
-        fields = [f for f in dataclasses.fields(value) if f.init and f.compare and not _default(value, f)]
-        return f"{type(value).__name__}({', '.join(f'{f.name}={typed(getattr(value, f.name))}' for f in fields)})"
-    return repr(value)
-
-
-def _default(value: object, field: dataclasses.Field[Any]) -> bool:
-    made = field.default_factory
-    return same(getattr(value, field.name), field.default if made is dataclasses.MISSING else made())
 
 
 def same(one: Any, other: Any) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from navfilter.alignment import align
 from navfilter.assembly import bar, forward_track, smoothed_track
 from navfilter.filter.tape import Tape
+from navfilter.handed_over import needs
 from navfilter.lane_missions import last_unit, of_one_unit
 from navfilter.lane_tracks import replayed_lanes
 from navfilter.learning.learned import learning_part
@@ -33,6 +34,7 @@ Array = NDArray[np.float64]
 _Path = str | os.PathLike[str]
 #: Models have settled when they change by less than so many of their own standard deviations.
 SETTLED = 0.2
+_ORDER = "It is replay(vehicle, mission)."
 
 
 def replay(
@@ -79,6 +81,7 @@ def replay(
         learns, and for a path that cannot be read.
     """
     vehicle, mission = _read(vehicle, mission)
+    needs("replay: start", start, Start, type(None))
     if iterate:
         start = _start(vehicle, mission, start)
         vehicle = identified(vehicle, mission, iterate, start)
@@ -152,6 +155,8 @@ def _replayed(
 
 
 def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
+    needs("replay: vehicle", vehicle, Vehicle, os.PathLike, str, hint=_ORDER)
+    needs("replay: mission", mission, Mission, os.PathLike, str, hint=_ORDER)
     if not isinstance(vehicle, Vehicle):
         from navfilter.io import read_vehicle
 

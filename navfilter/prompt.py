@@ -15,6 +15,9 @@ from navfilter.kernels import listen, strapdown, stretch
 from navfilter.learning.kept import COLUMNS
 
 if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.learning.kept import Kept
     from navfilter.navigator import Navigator
 
 __all__ = ["Prompt", "prompts"]
@@ -34,6 +37,10 @@ class Prompt:
         With a history.
     name : str
     """
+
+    _filter: Filter
+    _memory: FilterMemory
+    _kept: Kept | None
 
     def __init__(self, nav: Navigator, name: str) -> None:
         assert nav.history is not None

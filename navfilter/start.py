@@ -8,10 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from navfilter.notebook import Typed
+from navfilter import utc
+from navfilter.descriptions import Typed
 from navfilter.state import NavState, matrix_from_euler
 
 __all__ = ["Start"]
+
+
+def _known(value: object) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +56,7 @@ class Start(Typed):
     date: datetime.date | None = field(default=None)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("time_s", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "heading_deg"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"Start.{name} must be finite, found {getattr(self, name)!r}.")
@@ -58,9 +64,19 @@ class Start(Typed):
             raise ValueError(
                 f"Start.latitude_deg must lie within 89.9 degrees of the equator, found {self.latitude_deg!r}."
             )
+        if abs(self.longitude_deg) > 360.0:
+            raise ValueError(f"Start.longitude_deg must lie within 360 degrees, found {self.longitude_deg!r}.")
+        velocity = self.velocity_n
+        if not (isinstance(velocity, tuple) and len(velocity) == 3 and all(map(_known, velocity))):
+            raise ValueError(f"Start.velocity_n must be three finite numbers (north, east, down), found {velocity!r}.")
         for name in ("position_sd_m", "velocity_sd_m_s", "tilt_sd_deg", "heading_sd_deg"):
-            if not np.all(np.isfinite(getattr(self, name))) or np.any(np.asarray(getattr(self, name)) < 0):
-                raise ValueError(f"Start.{name} must be >= 0, found {getattr(self, name)!r}.")
+            sd = getattr(self, name)
+            each, most = (sd, 3) if isinstance(sd, tuple) else ((sd,), 1)
+            if len(each) != most or not all(_known(one) and one >= 0.0 for one in each):
+                several = "" if name.endswith("deg") else ", or three of them (north, east, down)"
+                raise ValueError(f"Start.{name} must be a finite number >= 0{several}, found {sd!r}.")
+        if self.date is not None:
+            object.__setattr__(self, "date", utc.day(self.date, "Start.date"))
 
     @property
     def state(self) -> NavState:

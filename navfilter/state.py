@@ -166,6 +166,11 @@ class NavState(Value):
             rows |= {"trust": told.removeprefix("Health: "), **more}
         return f"NavState at {self.time_s:.3f} s", rows
 
+    def __post_init__(self) -> None:
+        for name in ("velocity_n", "C_nb"):
+            if type(getattr(self, name)) is not np.ndarray:
+                object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+
     @property
     def lane(self) -> str:
         """What carries a navigator's state: "inertial" or "dead-reckoning", see `Health.lane`; empty without health."""
@@ -209,6 +214,8 @@ class NavState(Value):
         A correction by an estimated error is ``state.plus(-error)``. The covariance is carried along unchanged.
         """
         e = np.asarray(error, dtype=float)
+        if e.shape != (9,):
+            raise ValueError(f"plus takes nine numbers (position, velocity, rotation vector), found shape {e.shape}.")
         meridian, prime = strapdown.radii(self.latitude)
         return NavState(
             self.time_s,

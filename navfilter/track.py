@@ -7,16 +7,17 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navfilter import track_views as views
 from navfilter import utc
 from navfilter.error_models import block_level
 from navfilter.filter.tape import Residuals
+from navfilter.handed_over import intervals, needs, rows_of
 from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.mission import Stream
-from navfilter.notebook import Value, often, span
+from navfilter.notebook import Value
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Track", "TrackErrors"]
 
 Array = NDArray[np.float64]
+_TRUTH = "That of a mission is mission.truth."
 #: Fields with one row per time.
 _BY_ROW = (
     "time_s",
@@ -71,12 +73,7 @@ class TrackErrors(Value):
         return np.hypot(self.position_n[:, 0], self.position_n[:, 1])
 
     def _shown(self) -> tuple[str, dict[str, object]]:
-        known = int(np.count_nonzero(np.isfinite(self.horizontal)))
-        rows: dict[str, object] = {"truth": f"at {known} of {len(self.time_s)} rows"}
-        rows["position"] = _in_words(self.horizontal, "m, horizontal")
-        rows["velocity"] = _in_words(np.linalg.norm(self.velocity_n, axis=1), "m/s")
-        rows["heading"] = _in_words(np.degrees(self.heading), "deg")
-        return f"TrackErrors{span(self.time_s)}, {often(self.time_s, 'rows')}", rows
+        return views.errors_shown(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,17 +171,32 @@ class Track(Value):
 
     def keep(self, rows: Any) -> Track:
         """Only the given rows (a mask, a slice or indices); residuals and models stay whole."""
+        rows = rows_of(rows)
         kept: dict[str, Any] = {name: getattr(self, name)[rows] for name in _BY_ROW}
         bounds = None if self.bounds is None else self.bounds[rows]
         return replace(self, forward=None, bounds=bounds, **kept)
 
-    def at(self, time_s: Array) -> Track:
+    def at(self, time_s: ArrayLike) -> Track:
         """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter
         way.
+
+        Raises
+        ------
+        ValueError
+            For times outside it, and for less than two rows.
         """
-        after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self) - 1)
+        times = np.atleast_1d(utc.seconds(time_s, "at: time_s"))
+        if len(self) < 2:
+            raise ValueError(f"between rows needs two of them, this track has {len(self)}.")
+        outside = ~((times >= self.time_s[0] - 1e-6) & (times <= self.time_s[-1] + 1e-6))
+        if outside.any():
+            raise ValueError(
+                f"{np.count_nonzero(outside)} of {len(times)} times lie outside this track, the first is "
+                f"{times[outside][0]:g} s: it goes from {self.time_s[0]:g} to {self.time_s[-1]:g} s."
+            )
+        after = np.clip(np.searchsorted(self.time_s, times), 1, len(self) - 1)
         step = self.time_s[after] - self.time_s[after - 1]
-        share = np.clip((time_s - self.time_s[after - 1]) / step, 0.0, 1.0)
+        share = np.clip((times - self.time_s[after - 1]) / step, 0.0, 1.0)
 
         def between(rows: Array) -> Array:
             part = share.reshape(-1, *(1,) * (rows.ndim - 1))
@@ -194,12 +206,14 @@ class Track(Value):
         moved: dict[str, Any] = {name: between(getattr(self, name)) for name in names}
         for name in ("latitude", "longitude", "attitude"):
             moved[name] = between(np.unwrap(getattr(self, name), axis=0))
-        return replace(self, time_s=np.asarray(time_s, dtype=float), forward=None, revised=None, bounds=None, **moved)
+        return replace(self, time_s=times, forward=None, revised=None, bounds=None, **moved)
 
     def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
         """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""
-        lat0 = self.latitude[0] if latitude is None else latitude
-        lon0 = self.longitude[0] if longitude is None else longitude
+        if abs(latitude or 0.0) > math.pi / 2 or abs(longitude or 0.0) > 2.0 * math.pi:
+            raise ValueError(f"local takes radians, found {latitude}, {longitude}: np.radians turns degrees into them.")
+        lat0 = self.latitude[:1] if latitude is None else latitude
+        lon0 = self.longitude[:1] if longitude is None else longitude
         return _metres(self.latitude, self.longitude, self.height, lat0, lon0, 0.0)
 
     def state(self, name: str) -> tuple[Array, Array]:
@@ -281,6 +295,9 @@ class Track(Value):
         """Errors of the track, at its own times; the truth is interpolated (NaN outside it and across gaps in it longer
         than 5 s).
         """
+        needs("errors: truth", truth, Stream, hint=_TRUTH)
+        if len(truth.columns) != 9:
+            raise ValueError(f"errors: truth must have nine columns, found {', '.join(truth.columns)}. {_TRUTH}")
         t = _interpolate(truth, self.time_s)
         lat, lon, h = t[:, 0], t[:, 1], t[:, 2]
         north_east_down = _metres(self.latitude, self.longitude, self.height, lat, lon, h)
@@ -298,6 +315,7 @@ class Track(Value):
 
         Components without truth (a depth, a roll) are left out.
         """
+        needs("nees: errors", errors, TrackErrors, hint="Those of a track are track.errors(mission.truth).")
         P = self.covariance
         result = {
             "position": _nees(errors.position_n, P[:, :3, :3]),
@@ -325,6 +343,8 @@ class Track(Value):
             "heading_rms_deg",
             "velocity_rms_m_s",
         )
+        needs("summary: truth", truth, Stream, type(None), hint=_TRUTH)
+        windows = intervals(windows, "summary: windows")
         result: dict[str, Any] = dict.fromkeys((*keys, "nees_position", "nees_heading"))
         if truth is not None and len(truth):
             errors = self.errors(truth)
@@ -354,12 +374,6 @@ class Track(Value):
         result["adopted"] = self.adopted()
         result["cpu_s"] = self.cpu_s
         return result
-
-
-def _in_words(errors: Array, unit: str) -> str | None:
-    """Root mean square and largest of those that are known."""
-    known = np.abs(errors[np.isfinite(errors)])
-    return f"{_rms(known):.3g} rms, {known.max():.3g} at most [{unit}]" if len(known) else None
 
 
 def _plain(time_s: float, part: LearnedArma, model: ArmaModel, period_s: float) -> dict[str, Any]:

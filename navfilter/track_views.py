@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter import utc
+from navfilter.notebook import often, span
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from navfilter.track import Track
+    from navfilter.track import Track, TrackErrors
 
-__all__ = ["frame", "shown"]
+__all__ = ["errors_shown", "frame", "shown"]
 
 Array = NDArray[np.float64]
 
@@ -69,3 +70,21 @@ def shown(track: Track) -> tuple[str, dict[str, object]]:
         rows[name] = f"{residuals.count('used')} used, {residuals.count('rejected')} rejected"
     rows["learnt"] = ", ".join(track.adopted()) or None
     return f"Track, {track.label}", rows
+
+
+def errors_shown(errors: TrackErrors) -> tuple[str, dict[str, object]]:
+    """The same of its errors."""
+    known = int(np.count_nonzero(np.isfinite(errors.horizontal)))
+    rows: dict[str, object] = {"truth": f"at {known} of {len(errors.time_s)} rows"}
+    rows["position"] = _in_words(errors.horizontal, "m, horizontal")
+    rows["velocity"] = _in_words(np.linalg.norm(errors.velocity_n, axis=1), "m/s")
+    rows["heading"] = _in_words(np.degrees(errors.heading), "deg")
+    return f"TrackErrors{span(errors.time_s)}, {often(errors.time_s, 'rows')}", rows
+
+
+def _in_words(errors: Array, unit: str) -> str | None:
+    """Root mean square and largest of those that are known."""
+    known = np.abs(errors[np.isfinite(errors)])
+    if not len(known):
+        return None
+    return f"{math.sqrt(float(np.mean(known**2))):.3g} rms, {known.max():.3g} at most [{unit}]"

@@ -5,10 +5,15 @@ Seconds are those of POSIX: every day has 86400 of them, a leap second repeats o
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import contextlib
+import datetime
 
-__all__ = ["axis_from", "counts_from_1970", "date_text", "dates", "nanoseconds", "text"]
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.handed_over import numbers
+
+__all__ = ["axis_from", "counts_from_1970", "date_text", "dates", "day", "epoch", "nanoseconds", "seconds", "text"]
 
 Array = NDArray[np.float64]
 _NS = 1_000_000_000
@@ -19,6 +24,79 @@ _FROM_S, _TO_S = 1e9, 4102444800.0
 _MOST_S = 9.2e9
 #: Half of the last digit that is written [ns].
 _HALF = {"s": _NS // 2, "ms": 500_000, "us": 500}
+
+
+def day(value: object, owner: str) -> datetime.date:
+    """A date as users have it: of datetime (an aware one in UTC), NumPy or pandas, or ISO 8601.
+
+    Raises
+    ------
+    ValueError
+        For anything else; it names the `owner`.
+
+    Examples
+    --------
+    >>> day("2026-05-04", "date"), day(np.datetime64("2026-05-04T12:00:00", "ns"), "date")
+    (datetime.date(2026, 5, 4), datetime.date(2026, 5, 4))
+    """
+    if isinstance(value, np.datetime64) and not np.isnat(value):
+        value = value.astype("datetime64[D]").item()
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            value = datetime.date.fromisoformat(value)
+    if isinstance(value, datetime.datetime):
+        value = (value if value.tzinfo is None else value.astimezone(datetime.UTC)).date()
+    if not isinstance(value, datetime.date):
+        raise ValueError(f"{owner} must be a day such as datetime.date(2026, 5, 4), found {value!r}.")
+    return value
+
+
+def epoch(value: object) -> float:
+    """UTC of mission time zero, as seconds since 1970, or as a date (one without a zone is UTC).
+
+    Raises
+    ------
+    ValueError
+        For anything else.
+
+    Examples
+    --------
+    >>> epoch(np.datetime64("2026-05-28T20:26:40")), epoch(datetime.datetime(2026, 5, 28, 20, 26, 40))
+    (1780000000.0, 1780000000.0)
+    """
+    if isinstance(value, datetime.datetime):
+        return (value if value.tzinfo else value.replace(tzinfo=datetime.UTC)).timestamp()
+    if isinstance(value, np.datetime64):
+        value = (value - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    if not isinstance(value, int | float | np.integer | np.floating) or not np.isfinite(value):
+        raise ValueError(f"epoch_utc_s must be seconds since 1970, a datetime or None, found {value!r}.")
+    return float(value)
+
+
+def seconds(values: ArrayLike, owner: str) -> NDArray[np.float64]:
+    """Times as float64; the error names the `owner`.
+
+    Raises
+    ------
+    ValueError
+        For dates and durations, whose unit float64 does not have, and for what is no number.
+
+    Examples
+    --------
+    >>> seconds(np.array(["2026-05-04"], dtype="datetime64[ns]"), "time_s")
+    Traceback (most recent call last):
+    ...
+    ValueError: time_s must be seconds, found datetime64[ns]: (t - t[0]) / np.timedelta64(1, "s") are some. ...
+    """
+    given = np.asarray(values)
+    dated = given.dtype.kind in "mM" or (given.size and isinstance(given.flat[0], datetime.date | datetime.timedelta))
+    if dated:
+        found = f"{given.dtype}" if given.dtype.kind in "mM" else f"a {type(given.flat[0]).__name__}"
+        raise ValueError(
+            f'{owner} must be seconds, found {found}: (t - t[0]) / np.timedelta64(1, "s") are some. The date of their '
+            "zero goes into Mission(epoch_utc_s=...)."
+        )
+    return numbers(values, owner)
 
 
 def counts_from_1970(first_s: float) -> bool:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.descriptions import typed
 from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.mechanisation import Coasting, Imu, Mechanisation
-from navfilter.notebook import card, typed
+from navfilter.notebook import card
 from navfilter.sensors import Attitude, Sensor
 
 __all__ = ["Vehicle"]
@@ -82,10 +83,12 @@ class Vehicle:
             raise ValueError(
                 "Vehicle needs exactly one of drive=, imu= and imus= (imu=Imu(...) is short for drive=Imu(...))."
             )
+        _check_tables(sensors, imus, name)
         units = _checked_units(imus or {}, sensors or {})
         chosen = next(iter(units.values())) if units else imu if drive is None else drive
         if not isinstance(chosen, Mechanisation):
-            raise ValueError(f"Vehicle.drive must be an Imu or a DeadReckoning, found {chosen!r}.")
+            found = f"the class {chosen.__name__}" if isinstance(chosen, type) else repr(chosen)
+            raise ValueError(f"Vehicle.drive must be an Imu or a DeadReckoning, found {found}.")
         for key, sensor in (sensors or {}).items():
             if not isinstance(sensor, Sensor):
                 raise ValueError(
@@ -220,6 +223,8 @@ class Vehicle:
     def without(self, *names: str) -> Vehicle:
         """The same vehicle without some of its sensors."""
         for key in names:
+            if not isinstance(key, str):
+                raise ValueError(f'without takes names, such as without("compass", "depth"), found {key!r}.')
             if key not in self.sensors:
                 raise ValueError(f'"{key}" is no sensor of this vehicle (sensors: {", ".join(self.sensors)}).')
         return self._with(self.imus or {"": self.drive}, {k: s for k, s in self.sensors.items() if k not in names})
@@ -230,6 +235,20 @@ def _again(
 ) -> Vehicle:
     """A vehicle from its parts; with several units the drive is one of them."""
     return Vehicle(None if imus else drive, sensors, name, imus=imus, dead_reckoning_lane=lane)
+
+
+def _check_tables(sensors: object, imus: object, name: object) -> None:
+    """What has to be a name, or has to have names."""
+    for what, table in (("sensors", sensors), ("imus", imus)):
+        if not isinstance(table, Mapping | None):
+            raise ValueError(
+                f'Vehicle.{what} must be a dict by name, such as {{"depth": Depth()}}, found a {type(table).__name__}.'
+            )
+        for key in table or ():
+            if not (isinstance(key, str) and key):
+                raise ValueError(f"Vehicle.{what} goes by names, found {key!r} for one.")
+    if not isinstance(name, str):
+        raise ValueError(f"Vehicle.name must be text, found {name!r}.")
 
 
 def _checked_units(imus: Mapping[str, Imu], sensors: Mapping[str, Sensor]) -> dict[str, Imu]:

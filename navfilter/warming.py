@@ -15,6 +15,7 @@ import numpy as np
 
 from navfilter.compilation import announce_each, count_announced, is_compiled, kernel_count, show_compilation
 from navfilter.error_models import GaussMarkov
+from navfilter.handed_over import needs
 from navfilter.known_calls import calls_remembered
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Imu
@@ -52,6 +53,7 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False, *, smoother:
     After it nothing is compiled under way: live, in a replay, or by the smoother if that is asked for, late readings
     and gaps included.
     """
+    needs("warm_up: vehicle", vehicle, Vehicle, type(None))
     if progress:
         show_compilation()
     learning = vehicle is None or learns(vehicle)

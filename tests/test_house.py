@@ -13,7 +13,8 @@ import navfilter
 ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
-    {"kernels", "constants", "compilation", "known_calls", "notebook", "utc"}
+    {"kernels", "constants", "compilation", "known_calls", "utc"}
+    | {"handed_over", "descriptions", "notebook"}
     | {"filter.memory", "filter.health", "filter.integrity", "filter.spool"},
     {
         "arma",

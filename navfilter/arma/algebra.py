@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.roots import slowest_real
 from navfilter.arma.spectral import spectral_factor
+from navfilter.handed_over import needs
 
 __all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "split_bias"]
 
@@ -63,6 +64,9 @@ def add_arma(models: Iterable[ArmaModel]) -> ArmaModel:
     >>> add_arma([walk, white]).ma.round(4)
     array([-0.9049])
     """
+    needs("add_arma: models", models, Sequence, hint="As add_arma([a, b]).")
+    for part in models:
+        needs("add_arma: each of them", part, ArmaModel)
     parts = [part for part in models if part.sd > 0.0]
     if not parts:
         return ArmaModel(np.zeros(0), np.zeros(0), 0.0)
@@ -142,6 +146,7 @@ def bias_plus_white(model: ArmaModel) -> BiasPlusWhite:
     >>> round(reading.drive_sd, 4), round(reading.white_sd, 4), reading.pole
     (0.018, 0.991, 1.0)
     """
+    needs("bias_plus_white: model", model, ArmaModel, hint="That of a fit is fit.model.")
     poles = model.poles
     if not poles.size:
         if model.q:

@@ -20,6 +20,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.arma.problem import Problem
 from navfilter.arma.spectral import spectral_factor
 from navfilter.diagnostics import acf
+from navfilter.handed_over import numbers
 
 __all__ = [
     "GaussMarkovFit",
@@ -142,12 +143,13 @@ def fit_gauss_markov(
     _check_order(order)
     if method not in ("likelihood", "1/e"):
         raise ValueError(f'method must be "likelihood" or "1/e", found "{method}".')
-    if not rate_hz > 0.0:
-        raise ValueError(f"rate_hz must be positive, found {rate_hz}.")
-    lag = _one_over_e_lag(np.asarray(series, dtype=np.float64))
+    if not (isinstance(rate_hz, int | float | np.integer | np.floating) and rate_hz > 0.0):
+        raise ValueError(f"rate_hz must be a positive number, found {rate_hz!r}.")
+    x = numbers(series, "series")
+    lag = _one_over_e_lag(x)
     # An n-fold pole near 1 loses n-1 times the digits of its distance: keep so many samples per tau.
     thin = max(int(lag / {1: np.inf, 2: 200.0}.get(order, 12.0)), 1)
-    problem = Problem(np.asarray(series)[::thin], order, order - 1, "likelihood", 0, trend, None)
+    problem = Problem(x[::thin], order, order - 1, "likelihood", 0, trend, None)
     objective = problem.objective(order, order - 1)
 
     def value(log_step: float) -> float:
@@ -165,7 +167,7 @@ def fit_gauss_markov(
         log_step = float(minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 1e-6}).x)
     unit = gauss_markov_arma(order, 1.0, math.exp(log_step), 1.0)
     point = objective.evaluate(np.r_[unit.ar, unit.ma])
-    sd, loglik = float(np.nanstd(np.asarray(series, dtype=np.float64))), math.nan
+    sd, loglik = float(np.nanstd(x)), math.nan
     if math.isfinite(point.value):
         fit = fitted(problem, point, objective, True)
         loglik = fit.loglik

@@ -6,7 +6,9 @@ Sign convention, everywhere in navfilter: ``A(q) y = C(q) e`` with ``A = 1 + a1 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
@@ -14,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.roots import is_stable, roots_of
 from navfilter.arma.stationary import observer, settled
-from navfilter.notebook import Typed
+from navfilter.descriptions import Typed
+from navfilter.handed_over import numbers
 
 __all__ = [
     "ArmaModel",
@@ -28,7 +31,7 @@ Array = NDArray[np.float64]
 
 def _coefficients(values: ArrayLike | None, name: str) -> Array:
     """Copy of `values` as a read-only 1-D float64 array, refused when not finite."""
-    array = np.array([] if values is None else values, dtype=np.float64, ndmin=1)
+    array = np.array([] if values is None else numbers(values, name), ndmin=1)
     if array.ndim != 1:
         raise ValueError(
             f"{name} must be one-dimensional, found shape {array.shape}. Pass [c1, c2, ...] without the 1."
@@ -108,11 +111,24 @@ class ArmaModel(Typed):
     effective_window: float | None = None
     flags: frozenset[str] = frozenset()
 
+    if TYPE_CHECKING:  # what is handed over becomes what the fields are
+
+        def __init__(
+            self,
+            ar: ArrayLike,
+            ma: ArrayLike,
+            sd: float,
+            covariance: ArrayLike | None = None,
+            sd_log_s0: float | None = None,
+            effective_window: float | None = None,
+            flags: str | Iterable[str] = frozenset(),
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         put = object.__setattr__
         put(self, "ar", _coefficients(self.ar, "ar"))
         put(self, "ma", _coefficients(self.ma, "ma"))
-        put(self, "sd", float(self.sd))
+        put(self, "sd", float(numbers(self.sd, "sd")))
         put(self, "flags", frozenset([self.flags] if isinstance(self.flags, str) else self.flags))
         if not (np.isfinite(self.sd) and self.sd >= 0.0):
             raise ValueError(f"sd must be finite and not negative, found {self.sd}.")
@@ -253,9 +269,9 @@ def simulate_arma(
     >>> x.shape, bool(abs(x[1] - 0.9 * x[0]) < 5)
     ((5,), True)
     """
-    if n < 0:
-        raise ValueError(f"n must not be negative, found {n}.")
-    model = ArmaModel(np.asarray(ar), np.asarray(ma), sd)
+    if not isinstance(n, int | float | np.integer) or n < 0 or n != int(n):
+        raise ValueError(f"n must be a whole number of samples, not negative, found {n!r}.")
+    n, model = int(n), ArmaModel(np.asarray(ar), np.asarray(ma), sd)
     random = np.random.default_rng(seed)
     r = max(model.p, model.q)
     start = np.zeros(r)
@@ -287,7 +303,7 @@ def forecast_arma(model: ArmaModel, series: ArrayLike, steps: int) -> tuple[Arra
     mean, sd : ndarray, shape (steps,)
         Expected values, and the standard deviation of their errors ``sd * sqrt(sum psi^2)``.
     """
-    x = np.asarray(series, dtype=np.float64).ravel()
+    x = numbers(series, "series").ravel()
     if not model.is_invertible:
         raise ValueError("forecasting needs an invertible model: reflect the zeros into the unit circle first.")
     if not np.all(np.isfinite(x)):

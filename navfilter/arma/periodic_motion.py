@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import welch
 
+from navfilter.handed_over import numbers
+
 __all__ = ["find_motion_band", "subtract_motion"]
 
 Array = NDArray[np.float64]
@@ -76,7 +78,7 @@ def subtract_motion(series: ArrayLike, rate_hz: float, band_hz: tuple[float, flo
     >>> bool(abs(subtract_motion(moved, 10.0, (0.4, 0.6)).std() - 1.0) < 0.02)
     True
     """
-    x = np.asarray(series, dtype=np.float64)
+    x = numbers(series, "series")
     if x.ndim != 1 or x.size < 256 or not np.all(np.isfinite(x)):
         raise ValueError(f"series must be one finite series of at least 256 samples, found shape {x.shape}.")
     band = find_motion_band(x, rate_hz) if band_hz is None else band_hz
@@ -98,7 +100,7 @@ def subtract_motion(series: ArrayLike, rate_hz: float, band_hz: tuple[float, flo
 
 
 def _spectrum(series: ArrayLike, rate_hz: float) -> tuple[Array, Array]:
-    x = np.asarray(series, dtype=np.float64)
+    x = numbers(series, "series")
     freq, power = welch(x, rate_hz, nperseg=min(x.size, max(256, x.size // 8)), detrend="linear")
     return freq, power
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.arma.objective import GapFree, Objective, WithGaps
 from navfilter.arma.roots import pull_inside
 from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals, tidy_series
+from navfilter.handed_over import numbers
 from navfilter.kernels import fit as kernels
 
 Array = NDArray[np.float64]
@@ -26,8 +27,8 @@ class Problem:
         self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None
     ) -> None:
         for name, order in (("p", p), ("q", q), ("d", d)):
-            if order != int(order) or order < 0:
-                raise ValueError(f"{name} must be a whole number, at least 0, found {order}.")
+            if not isinstance(order, int | float | np.integer) or order != int(order) or order < 0:
+                raise ValueError(f"{name} must be a whole number, at least 0, found {order!r}.")
         if method not in ("likelihood", "prediction-error"):
             raise ValueError(f'method must be "likelihood" or "prediction-error", found "{method}".')
         if trend not in _DEGREE:
@@ -105,7 +106,7 @@ def _inputs(n: int, degree: int, d: int, regressors: ArrayLike | None) -> Array:
     middle = np.arange(n, dtype=np.float64) - 0.5 * (n - 1)
     rows = [middle**power for power in range(degree + 1) if power >= d]
     if regressors is not None:
-        extra = np.asarray(regressors, dtype=np.float64)
+        extra = numbers(regressors, "regressors")
         extra = extra[:, None] if extra.ndim == 1 else extra
         if extra.ndim != 2 or extra.shape[0] != n:
             raise ValueError(f"regressors must have shape ({n},) or ({n}, k) like the series, found {extra.shape}.")

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import pull_inside
+from navfilter.handed_over import numbers
 from navfilter.kernels import fit as kernels
 
 __all__ = ["burg", "hannan_rissanen", "yule_walker"]
@@ -30,11 +31,8 @@ def tidy_series(series: ArrayLike, least: int, what: str, gaps: bool = False) ->
     gaps : bool
         Whether NaN (missing sample) is allowed.
     """
-    x = np.asarray(series)
-    if x.dtype.kind not in "biuf":
-        raise ValueError(f"{what} needs real numbers, found an array of {x.dtype}.")
-    x = np.ascontiguousarray(x, dtype=np.float64)
-    if x.ndim != 1:
+    x = np.ascontiguousarray(numbers(series, f"the series of {what}"))
+    if np.ndim(series) != 1:
         raise ValueError(f"{what} needs one series, shape (n,), found shape {x.shape}. Pass one column.")
     if np.any(np.isinf(x)):
         raise ValueError(f"{what}: {int(np.isinf(x).sum())} samples are infinite. Replace them with NaN (missing).")

@@ -14,6 +14,7 @@ from navfilter.calibration.estimate import AROUND, Estimate, estimate
 from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, opened
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.error_models import White
+from navfilter.handed_over import needs
 from navfilter.mission import Mission, Stream
 from navfilter.notebook import Shown
 from navfilter.sensors import Position
@@ -191,8 +192,12 @@ def calibrate(
     Where some of the constants have left their prior, it is tried once more with those as described, and sure, and what
     predicts better is taken: a rotation of wheels about the way they roll, say, is told only by how a car leans.
     """
+    missions = [missions] if isinstance(missions, Mission) else missions
+    needs("calibrate: vehicle", vehicle, Vehicle)
     if not missions:
         raise ValueError("calibrate needs at least one mission.")
+    for mission in missions:
+        needs("calibrate: missions", mission, Mission)
     if kinds is None:
         kinds = () if constants_of(vehicle) else tuple(KINDS)
     unknown = [kind for kind in kinds if kind not in KINDS]

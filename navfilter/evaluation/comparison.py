@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from navfilter.evaluation.consistency import figures_of, inside
 from navfilter.filter.tape import Residuals
+from navfilter.handed_over import intervals, needs
 from navfilter.mission import Stream
 from navfilter.track import Track
 
@@ -78,6 +79,11 @@ def compare(
     autocorrelation leaves (Bar-Shalom, Li & Kirubarajan, 2001, sec. 5.4.2, for the statistic; Bartlett, 1946, for the
     count), which for the position of a single mission is often hardly more than one.
     """
+    needs("compare: tracks", tracks, Mapping, hint='By label: {"GM1": track}.')
+    for label, track in tracks.items():
+        needs(f'compare: tracks["{label}"]', track, Track)
+    needs("compare: truth", truth, Stream, type(None), hint="That of a mission is mission.truth.")
+    windows = intervals(windows, "compare: windows")
     if not tracks:
         raise ValueError(
             'compare needs at least one track, found none. Example: nf.compare({"GM1": track}, truth=mission.truth).'

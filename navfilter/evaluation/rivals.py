@@ -88,6 +88,7 @@ def rivals(
     unknown = [name for name in names if name not in MODELS]
     if unknown:
         raise ValueError(f'there is no model "{unknown[0]}". Models: {", ".join(MODELS)}.')
+    sensors = [sensors] if isinstance(sensors, str) else sensors
     chosen = learnable(vehicle, mission) if sensors is None else tuple(sensors)
     _check_sensors(vehicle, chosen)
     if "oracle" in names and not truth:

@@ -440,6 +440,9 @@ def usable(sd: ArrayLike, sensor: Sensor) -> bool:
     """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be
     finite.
     """
-    values = np.asarray(sd, dtype=np.float64)
+    try:
+        values = np.asarray(sd, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
     sizes = 1, sensor.axes, sensor.axes // sensor.tracks
     return values.size in sizes and bool(np.all((values >= 0.0) & (values < 1e100)))

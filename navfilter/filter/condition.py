@@ -28,7 +28,12 @@ Array = NDArray[np.float64]
 
 
 class Running(Shown):
-    """A navigator shows itself by its vehicle, its state now, and the models that it has learnt."""
+    """What navigators share: how they show themselves, and what a copy of one is."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # for copy and pickle: what a navigator holds of threads, kernels and views of memory can be made only anew
+        now: Any = self
+        return now.restore, (now.vehicle, now.snapshot())
 
     def _shown(self) -> tuple[str, dict[str, object]]:
         now: Any = self

@@ -23,6 +23,7 @@ from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
 from navfilter.filter.offsets import described, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
+from navfilter.handed_over import needs
 from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
 from navfilter.start import Start
@@ -73,20 +74,19 @@ class Filter(Estimate):
     Raises
     ------
     ValueError
-        For something that is no vehicle.
+        For no vehicle.
     """
 
     #: Corrections may come so long after the last sample of the drive, at least [s].
     AHEAD_S = 1.0
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
-        if not isinstance(vehicle, Vehicle):
-            raise ValueError(f"Navigator needs a Vehicle, found {type(vehicle).__name__}.")
-        self.vehicle, self.start, self.tape = vehicle, start, tape
-        drive = vehicle.drive
-        self.steps, self.hold = drive.steps, drive.hold
-        self.period_s, self.fold_every = drive.period_s, max(1, round(drive.rate_hz))
-        self.ahead_s = max(self.AHEAD_S, 3.0 * self.period_s)
+        needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
+        needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
+        needs("Navigator: tape", tape, Tape, type(None))
+        self.vehicle, self.start, self.tape, drive = vehicle, start, tape, vehicle.drive
+        self.steps, self.hold, self.period_s = drive.steps, drive.hold, drive.period_s
+        self.fold_every, self.ahead_s = max(1, round(drive.rate_hz)), max(self.AHEAD_S, 3.0 * self.period_s)
         self.inertial, self.watch, self.jumps = drive.inertial, drive_watch.DriveWatch(drive), JumpWatch(drive)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)

@@ -8,14 +8,29 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navfilter.kernels import strapdown
 from navfilter.mechanisation import Mechanisation
 
-__all__ = ["Intake", "IntakeMemory", "joined"]
+__all__ = ["Intake", "IntakeMemory", "joined", "samples_of"]
 
 Array = NDArray[np.float64]
+
+
+def samples_of(time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> Array:
+    """One sample or a block of them as rows of time and six values.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For what has not three values at each time: a table the other way round would be read across its rows.
+    """
+    times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
+    values = [np.asarray(v, dtype=np.float64) for v in (first, second)]
+    if any(v.ndim > 1 and v.shape != (times.size, 3) for v in values):
+        raise ValueError(f"expected three values at each of {times.size} times")
+    return np.column_stack([times, *(v.reshape(times.size, 3) for v in values)])
 
 
 def joined(items: Sequence[Any]) -> list[Any]:

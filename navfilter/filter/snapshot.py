@@ -31,6 +31,7 @@ from navfilter.filter.drive_clock import DriveClockMemory
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.memory import from_arrays, to_arrays
+from navfilter.handed_over import needs
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
@@ -171,6 +172,8 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
     OSError
         When the file cannot be read.
     """
+    needs("restore: vehicle", vehicle, Vehicle, hint="The one that the snapshot was taken with.")
+    needs("restore: source", source, bytes, PathLike, str, hint="Give the file that Navigator.snapshot(path) wrote.")
     data = source if isinstance(source, bytes) else content(source)
     payload = _checked(data, vehicle)
     try:

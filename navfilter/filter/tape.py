@@ -62,6 +62,8 @@ class Residuals(Value):
 
     def count(self, outcome: str) -> int:
         """How many readings met that outcome."""
+        if outcome not in OUTCOMES:
+            raise ValueError(f'no outcome is called "{outcome}"; there are {", ".join(OUTCOMES)}.')
         return int(np.count_nonzero(self.outcome == OUTCOMES.index(outcome)))
 
     @property
@@ -159,6 +161,8 @@ class Tape(Shown):
     def __init__(
         self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 128 << 20
     ) -> None:
+        if output_rate_hz is not None and not (isinstance(output_rate_hz, int | float) and output_rate_hz > 0.0):
+            raise ValueError(f"output_rate_hz must be > 0, or None for every sample, found {output_rate_hz!r}.")
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable, self._memory_bytes, self._expected = smoothable, memory_bytes, 0
         self.each_sample = output_rate_hz is None and not smoothable

@@ -178,7 +178,7 @@ class Inner:
         raise TypeError(f"{self.kernel.__name__} is called by other kernels only")
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self.__dict__["kernel"], name)
+        return getattr(_kernel(self, name), name)
 
 
 class Apart(_Base):
@@ -193,7 +193,14 @@ class Apart(_Base):
     def __getattr__(self, name: str) -> Any:
         if name == "_numba_type_":  # by the type of the kernel it would be called like any other
             raise AttributeError(name)
-        return getattr(self.__dict__["kernel"], name)
+        return getattr(_kernel(self, name), name)
+
+
+def _kernel(holder: Any, name: str) -> Any:
+    """What a kernel that is held apart holds; nothing while copy or pickle make an empty one."""
+    if "kernel" not in vars(holder):
+        raise AttributeError(name)
+    return vars(holder)["kernel"]
 
 
 def _caller(kernel: Any) -> Callable[..., Any]:

@@ -106,7 +106,11 @@ class LearnedArma(ErrorModel):
     spectrum: Spectrum | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
+        super().__post_init__()
+        try:
+            orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
+        except (TypeError, ValueError):
+            orders = ()
         if not orders or any(min(pq) < 0 or max(pq) > 10 for pq in orders):
             raise ValueError(
                 f"LearnedArma.orders must be pairs (p, q) from 0 to 10, found {self.orders!r}. Example: ((1, 0), (2, "
@@ -125,6 +129,10 @@ class LearnedArma(ErrorModel):
             raise ValueError(
                 f"LearnedArma.prior must be a fixed error model, found {self.prior!r}. Example: GaussMarkov(sd=0.01, "
                 "tau_s=30)."
+            )
+        if self.model is not None and not isinstance(self.model, ArmaModel):
+            raise ValueError(
+                f"LearnedArma.model must be an ArmaModel, found {self.model!r}. Example: ArmaModel([-0.8], [], 0.01)."
             )
         if self.model is not None and not self.model.is_stable:
             raise ValueError(

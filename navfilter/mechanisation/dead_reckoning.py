@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.descriptions import Typed
 from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import past, strapdown
@@ -86,6 +87,7 @@ class DeadReckoning(Mechanisation):
     moved: ClassVar[Callable[..., None]] = staticmethod(past.reckoned_motion)
 
     def __post_init__(self) -> None:
+        Typed.__post_init__(self)  # what follows asks for its parts, before their models are asked for
         if self.compass is not None and self.compass.gives != "heading":
             raise ValueError(
                 f"DeadReckoning.attitude must be a Heading or error models, found a {type(self.attitude).__name__}."

@@ -11,6 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.descriptions import Typed
 from navfilter.error_models import ErrorModel
 from navfilter.filter.layout import (
     Calibrated,
@@ -22,7 +23,6 @@ from navfilter.filter.layout import (
 from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import Drift
 from navfilter.mission import Stream
-from navfilter.notebook import Typed
 from navfilter.sensors import BodyVelocity, Heading
 from navfilter.sensors.sensor import Errors
 from navfilter.sensors.traits import Columns, Doubt, Plausible
@@ -130,6 +130,7 @@ class Mechanisation(Typed):
     moved: ClassVar[Callable[..., None]]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ValueError(f"{type(self).__name__}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
         for key in ("max_speed_m_s", "max_turn_rad_s"):

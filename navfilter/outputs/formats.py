@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from navfilter.handed_over import needs
+
 if TYPE_CHECKING:
     from navfilter.mission import Mission
     from navfilter.track import Track
@@ -129,6 +131,11 @@ def write_track(track: Track, path: str | os.PathLike[str], mission: Mission | N
     >>> [form.name for form in FORMATS if form.utc]
     ['sbet']
     """
+    from navfilter.mission import Mission
+    from navfilter.track import Track
+
+    needs("write_track: track", track, Track, hint="It is write_track(track, path).")
+    needs("write_track: mission", mission, Mission, type(None))
     path = Path(path)
     known = {form.suffix: form for form in FORMATS}
     if path.suffix.lower() not in known:

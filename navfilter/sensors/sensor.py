@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.descriptions import Typed
 from navfilter.error_models import ErrorModel, White, per_axis
 from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import resolve_prior
-from navfilter.notebook import Typed
 from navfilter.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.start import Start
 
@@ -167,6 +167,7 @@ class Sensor(Typed):
     template: ClassVar[Example | None] = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         name = type(self).__name__
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ValueError(f"{name}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
@@ -409,9 +410,17 @@ class Sensor(Typed):
             return ()  # a default that stands for "must be given"
 
 
+def _numbers(value: ArrayLike | None) -> Array:
+    """As an array; an empty one for what is no numbers."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.empty((0, 0))
+
+
 def checked_vector(owner: str, value: ArrayLike, size: int = 3) -> tuple[float, ...]:
     """The value as a tuple of `size` finite floats; the error names its `owner`."""
-    v = np.asarray(value, dtype=float).ravel()
+    v = _numbers(value).ravel()
     if v.shape != (size,) or not np.isfinite(v).all():
         raise ValueError(f"{owner} must be {size} finite numbers, found {value!r}.")
     return tuple(float(c) for c in v)
@@ -419,7 +428,7 @@ def checked_vector(owner: str, value: ArrayLike, size: int = 3) -> tuple[float, 
 
 def checked_sds(owner: str, value: float | Vector) -> tuple[float, ...]:
     """One standard deviation for all axes, or three, as a tuple of floats; the error names its `owner`."""
-    v = np.atleast_1d(np.asarray(value, dtype=float))
+    v = np.atleast_1d(_numbers(value))
     if v.shape not in ((1,), (3,)) or not np.all((v >= 0.0) & np.isfinite(v)):
         raise ValueError(f"{owner} must be a finite number >= 0, or three of them (x, y, z), found {value!r}.")
     return tuple(v.tolist())

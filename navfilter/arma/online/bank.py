@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from navfilter.arma.choice import Challenge, Choice
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.online.recursive import RecursiveArma
 from navfilter.arma.roots import cap_poles, has_unit_root, resolved_radius
+from navfilter.handed_over import numbers
 from navfilter.kernels import arma as kernel
 from navfilter.notebook import Shown, few
 
@@ -87,6 +89,8 @@ class ArmaBank(Shown):
             raise ValueError(f'criterion must be "bic" or "hq", found {criterion!r}.')
         if not orders:
             raise ValueError("orders is empty. Give at least one (p, q).")
+        if not all(isinstance(pq, Sequence) and len(pq) == 2 for pq in orders):
+            raise ValueError(f"orders must be pairs (p, q), as [(1, 0), (2, 1)], found {orders!r}.")
         self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
         self.window, self.choice, self.strict, self.mean = int(window), Choice(criterion), bool(strict), bool(mean)
         self.candidates = tuple(RecursiveArma(p, q, window, hop=hop, mean=mean, clip=clip) for p, q in self.orders)
@@ -116,6 +120,13 @@ class ArmaBank(Shown):
             self._states[i, kernel.HEAD, kernel.DUE] = first
             candidate.share_memory(self._states[i], self._bufs[i])
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # the candidates work in rows of two arrays: what copies and pickles make of these views stands apart from
+        # them, and the kernel would go on with a window that is never emptied
+        vars(self).update(state)
+        for i, candidate in enumerate(self.candidates):
+            candidate.share_memory(self._states[i], self._bufs[i])
+
     def update(self, x: float) -> None:
         """Take one sample (NaN if it is missing)."""
         if kernel.bank_step(self._states, self._bufs, float(x)):
@@ -123,7 +134,7 @@ class ArmaBank(Shown):
 
     def update_many(self, series: ArrayLike) -> None:
         """Take samples in order, shape (N,): the same arithmetic as `update` on each."""
-        xs = np.array(series, dtype=np.float64, order="C")
+        xs = np.array(numbers(series, "series"), order="C")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one bank per channel.")
         done = 0
@@ -289,7 +300,7 @@ def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
 
     NaN samples are left out; a correlation within two standard deviations of zero gives white noise. Flag "fallback".
     """
-    x = np.asarray(series, dtype=np.float64)
+    x = numbers(series, "series")
     known = np.isfinite(x)
     n = int(known.sum())
     flags = frozenset({"fallback"})

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.online.bank import ArmaBank
 from navfilter.arma.online.recursive import RecursiveArma
+from navfilter.handed_over import needs, numbers
 from navfilter.notebook import Shown
 
 __all__ = ["FrontEnd", "find_resolution", "repeat_share"]
@@ -60,6 +61,7 @@ class FrontEnd(Shown):
         repeats: str = "auto",
         learn: int = 200,
     ) -> None:
+        needs("FrontEnd: estimator", estimator, RecursiveArma, ArmaBank)
         if difference not in (0, 1, 2):
             raise ValueError(f"difference must be 0, 1 or 2, found {difference}. More would only add noise.")
         if int(season) != season or season < 0:
@@ -98,7 +100,7 @@ class FrontEnd(Shown):
 
     def update_many(self, series: ArrayLike, exog: ArrayLike | None = None) -> None:
         """Take raw samples in order, shape (N,), with regressors of shape (N, k)."""
-        xs = np.asarray(series, dtype=np.float64)
+        xs = numbers(series, "series")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one front end per channel.")
         us = None if exog is None else np.asarray(exog, dtype=np.float64).reshape(xs.size, -1)
@@ -170,7 +172,7 @@ def find_resolution(series: ArrayLike) -> float:
     >>> round(find_resolution(np.round(x / 0.25) * 0.25), 6), find_resolution(x)
     (0.25, 0.0)
     """
-    x = np.asarray(series, dtype=np.float64)
+    x = numbers(series, "series")
     values = np.unique(x[np.isfinite(x)])
     if values.size < 2:
         return 0.0
@@ -190,7 +192,7 @@ def find_resolution(series: ArrayLike) -> float:
 
 def repeat_share(series: ArrayLike, resolution: float) -> tuple[float, float]:
     """Share of samples equal to the one before, and the share that rounding to `resolution` explains."""
-    x = np.asarray(series, dtype=np.float64)
+    x = numbers(series, "series")
     steps = np.diff(x[np.isfinite(x)])
     if steps.size == 0:
         return 0.0, 0.0

@@ -11,6 +11,7 @@ from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.online.window import WindowFit
 from navfilter.arma.roots import has_unit_root, is_stable
 from navfilter.diagnostics import whiteness
+from navfilter.handed_over import numbers
 from navfilter.kernels import arma as kernel
 from navfilter.notebook import Shown, few
 
@@ -154,7 +155,7 @@ class RecursiveArma(Shown):
         exog : array_like, shape (N, exog), optional
             External regressors of each sample.
         """
-        xs = np.array(series, dtype=np.float64, order="C")
+        xs = np.array(numbers(series, "series"), order="C")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one estimator per channel.")
         us = self._check_exog(exog, xs.size)
@@ -334,7 +335,7 @@ class RecursiveArma(Shown):
 
 def _order(value: int, name: str) -> int:
     if int(value) != value or not 0 <= value <= 30:
-        raise ValueError(f"{name} must be an integer from 0 to 30, found {value}.")
+        raise ValueError(f"{name} must be an integer from 0 to 30, found {value!r}.")
     return int(value)
 
 
