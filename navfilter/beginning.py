@@ -5,6 +5,7 @@ thread, whose place the run then takes.
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -88,7 +89,7 @@ class Beginning:
                 self._worker.later(partial(self._follow, learning.again))
             return
         twin, self.twin = self.twin, None
-        if twin is None or twin.again != learning.again:
+        if twin is None or twin.again != learning.again or twin.process != os.getpid():
             # in place: what runs over this filter goes on with it
             tried = Twin(nav, learning.again, Worker(threads=False)) if learning.compares else None
             if tried is None or not learning.is_no_better(tried.arrived().learning):
@@ -153,6 +154,8 @@ class Twin:
         learning.beginning = learning.beginning and learning.beginning.shared()
         self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
         self._drained: Future[Any] | None = None
+        #: A fork may have been made in the middle of its work, and has no thread that would end it.
+        self.process = os.getpid()
 
     def give(self, item: Array | Reading) -> None:
         """The next input."""

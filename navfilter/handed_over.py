@@ -28,7 +28,7 @@ def numbers(values: ArrayLike, owner: str) -> NDArray[np.float64]:
     >>> numbers(["a"], "value")
     Traceback (most recent call last):
     ...
-    ValueError: value must be numbers, found ['a'].
+    ValueError: value must be real numbers, found ['a'].
     """
     try:
         if isinstance(values, np.ma.MaskedArray):
@@ -37,7 +37,7 @@ def numbers(values: ArrayLike, owner: str) -> NDArray[np.float64]:
             return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         pass
-    raise ValueError(f"{owner} must be numbers, found {short(values)}.")
+    raise ValueError(f"{owner} must be real numbers, found {short(values)}.")
 
 
 def needs(owner: str, value: object, *kinds: type, hint: str = "") -> None:

@@ -81,7 +81,10 @@ class Shown:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        return lines(*self._shown())
+        try:
+            return lines(*self._shown())
+        except AttributeError:  # a debugger looks at values that are not finished
+            return object.__repr__(self)
 
     def _repr_html_(self) -> str:
         return card(*self._shown())

@@ -67,7 +67,8 @@ def shown(track: Track) -> tuple[str, dict[str, object]]:
             "sd of position at the end": f"{sd:.2f} m",
         }
     for name, residuals in track.residuals.items():
-        rows[name] = f"{residuals.count('used')} used, {residuals.count('rejected')} rejected"
+        rows[name] = residuals.in_words
+    rows["irregular"] = ", ".join(f"{count} {name}" for name, count in track.counts.items() if count) or None
     rows["learnt"] = ", ".join(track.adopted()) or None
     return f"Track, {track.label}", rows
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,7 +97,21 @@ def seconds(values: ArrayLike, owner: str) -> NDArray[np.float64]:
             f'{owner} must be seconds, found {found}: (t - t[0]) / np.timedelta64(1, "s") are some. The date of their '
             "zero goes into Mission(epoch_utc_s=...)."
         )
+    _check_digits(given, owner)
     return numbers(values, owner)
+
+
+def _check_digits(given: NDArray[Any], owner: str) -> None:
+    """Refuse times of float32 that have lost what is between two rows: since 1970 it has a digit of two minutes."""
+    if given.dtype not in (np.float32, np.float16) or given.size < 2:
+        return
+    digit_s, steps_s = float(np.spacing(np.abs(given).max())), np.diff(np.asarray(given, dtype=np.float64).ravel())
+    apart_s = float(np.median(steps_s[steps_s > 0.0])) if (steps_s > 0.0).any() else 0.0
+    if digit_s > 0.1 * apart_s:
+        raise ValueError(
+            f"{owner} is of {given.dtype}, whose last digit is {digit_s:.2g} s at its end: too coarse for rows "
+            f"{apart_s:.2g} s apart. Read the times as float64, or count them from the first one."
+        )
 
 
 def counts_from_1970(first_s: float) -> bool:

@@ -103,10 +103,13 @@ WRONG_READINGS = {
     "time_s must be seconds, found timedelta64": lambda: nf.Stream(pd.to_timedelta([0, 1], unit="s"), [1, 2]),
     "time_s must be seconds, found a datetime": lambda: nf.Stream([datetime.datetime(2026, 5, 4)], [1]),
     "time_s must be a sequence, found 0.0. Of one reading it is [time_s]": lambda: nf.Stream(0.0, 5.0),
-    "time_s must be numbers, found ['a', 'b']": lambda: nf.Stream(["a", "b"], [1, 2]),
-    "value must be numbers, found [[1, 2], [3]]": lambda: nf.Stream([0, 1], [[1, 2], [3]]),
-    "value must be numbers, found [5j, 6.0]": lambda: nf.Stream([0, 1], [5j, 6.0]),
-    "sd must be numbers, found ['a', 'b']": lambda: nf.Stream([0, 1], [1, 2], sd=["a", "b"]),
+    "time_s must be real numbers, found ['a', 'b']": lambda: nf.Stream(["a", "b"], [1, 2]),
+    "value must be real numbers, found [[1, 2], [3]]": lambda: nf.Stream([0, 1], [[1, 2], [3]]),
+    "value must be real numbers, found [5j, 6.0]": lambda: nf.Stream([0, 1], [5j, 6.0]),
+    "time_s is of float32, whose last digit is 1.3e+02 s at its end": lambda: nf.Stream(
+        np.float32(1.78e9 + np.arange(3.0)), [1, 2, 3]
+    ),
+    "sd must be real numbers, found ['a', 'b']": lambda: nf.Stream([0, 1], [1, 2], sd=["a", "b"]),
     "keep takes a mask, a slice or indices of rows, found None": lambda: STREAM.keep(None),
     'Mission.streams must be a dict, found a list. By name: {"depth"': lambda: nf.Mission("m", [STREAM]),
     'stream "d" must be a Stream, found an ndarray': lambda: nf.Mission("m", {"d": np.zeros(3)}),

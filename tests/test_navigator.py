@@ -452,7 +452,7 @@ def test_gaps_leave_the_uncertainty_that_they_should():
 
 
 def test_navigator_refuses_what_is_no_vehicle():
-    with pytest.raises(ValueError, match="needs a Vehicle, found dict"):
+    with pytest.raises(ValueError, match="vehicle must be a Vehicle, found a dict"):
         nf.Navigator({}, START)
 
 

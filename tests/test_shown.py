@@ -155,6 +155,12 @@ def test_a_navigator_says_what_it_is_worth_and_what_is_in_force():
     assert one.snapshot() == before, "to look changes something"
 
 
+def test_what_is_not_finished_can_be_looked_at():
+    """In a debugger, inside of what makes it."""
+    for kind in (nf.Navigator, nf.LaneNavigator, nf.Tape, nf.Track, nf.Mission, nf.Stream, nf.NavState, nf.ArmaBank):
+        assert repr(object.__new__(kind)).startswith(f"<{kind.__module__}.{kind.__name__} object at")
+
+
 # --- equality ---------------------------------------------------------------------------------------------------------
 def test_values_with_the_same_numbers_are_equal():
     mission, tracks = small_run()

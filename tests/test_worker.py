@@ -3,6 +3,8 @@ the beginning of a hop and its answer.
 """
 
 import gc
+import os
+import signal
 import time
 import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -184,3 +186,27 @@ def test_what_adoptions_take_is_worked_out_beforehand(mission, alone, monkeypatc
     nav = nf.Navigator(vehicle, recorded.start)
     fed(nav, events)
     assert len(found) >= 2 and all(found)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks here")
+@pytest.mark.parametrize("fork_s", [PENDING_S, AGAIN_S])
+def test_a_fork_learns_by_itself(mission, alone, fork_s):
+    """It has no thread that would work on what was begun before, and waited for ever."""
+    vehicle, recorded, events = mission
+    nav = nf.Navigator(vehicle, recorded.start)
+    fed(nav, [event for event in events if event.time_s <= fork_s])
+    rest = [event for event in events if event.time_s > fork_s]
+    read, write = os.pipe()
+    child = os.fork()
+    if not child:
+        signal.alarm(60)
+        fed(nav, rest)
+        os.write(write, nav.filter.nav.tobytes())
+        os._exit(0)
+    os.close(write)
+    with os.fdopen(read, "rb") as answer:
+        told = answer.read()
+    assert os.waitpid(child, 0)[1] == 0
+    assert told == alone[1].filter.nav.tobytes()
+    fed(nav, rest)
+    assert told == nav.filter.nav.tobytes()

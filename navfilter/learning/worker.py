@@ -4,6 +4,7 @@ fixed in advance, and between the two a thread of its own works on it. So the re
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -25,6 +26,12 @@ class _ShortTurns:
     def __init__(self) -> None:
         self._lock, self._inside, self._usual_s = threading.Lock(), 0, 0.0
 
+    def forked(self) -> None:
+        """In a forked process: the thread that was inside, or held the lock, is not there."""
+        if self._inside:
+            sys.setswitchinterval(self._usual_s)
+        self._lock, self._inside = threading.Lock(), 0
+
     def __enter__(self) -> None:
         with self._lock:
             if not self._inside:
@@ -40,6 +47,8 @@ class _ShortTurns:
 
 
 _short_turns = _ShortTurns()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_short_turns.forked)
 
 
 class Task:
@@ -57,6 +66,7 @@ class Task:
         self._worker, self._work = worker, work
         self._answer: list[Any] = []
         self._future: Future[Any] | None = None
+        self._process = 0
         if later:
             worker.later(self._begin)
         else:
@@ -64,7 +74,7 @@ class Task:
 
     def _begin(self) -> None:
         if not self._answer:
-            self._future = self._worker.begin(self._done)
+            self._future, self._process = self._worker.begin(self._done), os.getpid()
 
     def _done(self) -> None:
         self._answer.append(self._work())
@@ -73,7 +83,7 @@ class Task:
         """What came out; waits for it where it is late."""
         if not self._answer:
             began = time.perf_counter()
-            if self._future is None:
+            if self._future is None or self._process != os.getpid():  # a fork has no thread that would do it
                 self._done()
             else:
                 self._future.result()
@@ -102,6 +112,7 @@ class Worker:
         self.health = LearningHealth()
         self.waiting: list[Callable[[], None]] = []
         self._pool: ThreadPoolExecutor | None = None
+        self._process = 0
 
     def later(self, work: Callable[[], None]) -> None:
         """Have it done by `turn`; without threads there is nobody to be told anything."""
@@ -117,7 +128,8 @@ class Worker:
         """Have the thread do it; None without threads."""
         if not self.threads:
             return None
-        if self._pool is None:
+        if self._pool is None or self._process != os.getpid():
+            self._process = os.getpid()
             self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="navfilter-learning")
         return self._pool.submit(self._run, work)
 
