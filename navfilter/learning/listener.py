@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -27,13 +27,12 @@ from navfilter.learning.learner import Learner, hop_together
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.learnt import Learnt
 from navfilter.learning.limits import LEAST, LONGEST_GAP
-from navfilter.learning.listener_memory import Hop, ListenerMemory
+from navfilter.learning.listener_memory import ChannelSeries, Hop, ListenerMemory
 from navfilter.learning.quick import quick_description
 from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
 from navfilter.learning.worker import Task, Worker
-from navfilter.notebook import Value
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
@@ -49,31 +48,6 @@ TAKEN_AFTER_S = 2.0
 #: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
 LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ChannelSeries(Value):
-    """Readings of one axis minus what an open loop would have predicted.
-
-    Attributes
-    ----------
-    value : ndarray, shape (n,)
-        One element per tick of the sensor [unit of the sensor]; NaN where there was no reading.
-    drift : Drift
-        Known noise of the slow navigation error in it.
-    period_s : float
-    white : float
-        Known white variance in it.
-    """
-
-    value: Array
-    drift: Drift
-    period_s: float
-    white: float
-
-    def _shown(self) -> tuple[str, dict[str, object]]:
-        known = int(np.count_nonzero(np.isfinite(self.value)))
-        return f"ChannelSeries, {known} of {len(self.value)} ticks of {self.period_s:.4g} s", {}
 
 
 class Listener:

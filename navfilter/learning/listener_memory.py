@@ -1,4 +1,4 @@
-"""What changes while one sensor is listened to."""
+"""What is heard of one sensor, and what changes while it is listened to."""
 
 from __future__ import annotations
 
@@ -9,11 +9,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
+from navfilter.learning.drift import Drift
 from navfilter.learning.learner_memory import LearnerMemory
+from navfilter.notebook import Value
 
-__all__ = ["Hop", "ListenerMemory"]
+__all__ = ["ChannelSeries", "Hop", "ListenerMemory"]
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ChannelSeries(Value):
+    """Readings of one axis minus what an open loop would have predicted.
+
+    Attributes
+    ----------
+    value : ndarray, shape (n,)
+        One element per tick of the sensor [unit of the sensor]; NaN where there was no reading.
+    drift : Drift
+        Known noise of the slow navigation error in it.
+    period_s : float
+    white : float
+        Known white variance in it.
+    """
+
+    value: Array
+    drift: Drift
+    period_s: float
+    white: float
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        known = int(np.count_nonzero(np.isfinite(self.value)))
+        return f"ChannelSeries, {known} of {len(self.value)} ticks of {self.period_s:.4g} s", {}
 
 
 @dataclass(frozen=True, eq=False)
