@@ -4,12 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.evaluation.rivals import rivals
 from navfilter.learning.conflict import CONTRADICTED, Stretches, stretched
+from navfilter.learning.drift import Drift
+from navfilter.learning.learned import DEFAULT_ORDERS
+from navfilter.learning.learner import Learner
 from navfilter.learning.quick import quick_description
+from navfilter.learning.slow import slow_prior
 from navfilter.mission import Stream
 from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
@@ -155,6 +160,52 @@ def test_readings_contradict_it_that_show_more():
     assert not quick.holds(ArmaModel([-phi], [], 0.15 * np.sqrt(1.0 - phi**2), None, None, 1000.0))
     swing = ArmaModel([-1.95 * np.cos(0.1), 0.9506], [], 0.01, None, None, 1000.0)
     assert not quick.holds(swing)
+
+
+SWING = nf.Arma(ar=(0.69, 0.7365), sd=0.0015) + nf.White(sd=0.002)
+
+
+@pytest.mark.parametrize("model", [QUICK, SWING, nf.GaussMarkov(sd=0.1, tau_s=0.5, order=2) + QUICK])
+def test_a_description_of_many_parts_is_one_process(model):
+    """Its autocovariance, by a long run of its impulse response, is the sum of those of its parts."""
+    arma = described(model).arma
+    response = lfilter([1.0, *arma.ma], [1.0, *arma.ar], np.eye(1, 4000)[0]) * arma.sd
+    found = [response[: 4000 - lag] @ response[lag:] for lag in range(30)]
+    wanted, parts = np.zeros(30), model.parts
+    for block in (part.block(0.1) for part in parts):
+        wanted[0] += block.r
+        state = block.P0 @ block.C
+        for lag in range(30 if block.size else 0):
+            wanted[lag] += block.C @ state
+            state = block.Phi @ state
+    assert np.allclose(found, wanted, rtol=0.0, atol=1e-9 * wanted[0])
+
+
+def test_parts_that_rounding_makes_another_process_are_said_to_be_none():
+    smooth = sum((nf.GaussMarkov(sd=0.1, tau_s=tau_s, order=2) for tau_s in (1.0, 0.2)), start=QUICK)
+    rough = nf.GaussMarkov(sd=0.1, tau_s=2.0, order=2)
+    assert described(smooth).arma is not None
+    assert quick_description(smooth + rough, 0.01, 500.0, nf.BodyVelocity.prior).arma is None
+
+
+def contradicted(truth, count, seed):
+    """Whether readings that err like this contradict a description as `SWING`."""
+    prior, quick = (make(SWING, 1.0, 500.0, *kind) for make, kind in MADE)
+    learner = Learner(DEFAULT_ORDERS, 4000, Drift((1e-4, 0.0), 1.0), prior=prior, quick=quick)
+    learner.hop(draw_error(truth, 1.0, count, seed, "dvl", 0))
+    return learner.memory.contradicted
+
+
+MADE = (slow_prior, ()), (quick_description, (nf.BodyVelocity.prior,))
+
+
+def test_a_few_readings_do_not_contradict_what_they_are_drawn_from():
+    """Of two minutes the smallest order is the best one, and white noise has more power at low frequencies than a swing
+    has: 17 of 20 were said to contradict it, and a slow error was believed for all of the dive.
+    """
+    assert sum(contradicted(SWING, 120, seed) for seed in range(20)) <= 1
+    slow = SWING + nf.GaussMarkov(sd=0.005, tau_s=15.0)
+    assert sum(contradicted(slow, 120, seed) for seed in range(20)) >= 19
 
 
 # --- what stretches tell of constants --------------------------------------------------------------------------------

@@ -58,6 +58,7 @@ FLOORS = [
         "learning.conflict",
         "learning.doubtful",
         "learning.kept",
+        "learning.belief",
         "learning.listener",
         "learning.listener_memory",
         "learning.rest",

@@ -215,7 +215,8 @@ class Learner:
         plain = self._plain()
         if plain is None or self.quick is None or (look := plain.look(series, fresh)) is None:
             return None
-        if not self.quick.holds(learnt_from(look.likelihood, look.point, None, look.n).model):
+        denied = self.quick.is_denied(look.likelihood, plain._score(look.point, look.n))
+        if denied and not self.quick.holds(learnt_from(look.likelihood, look.point, None, look.n).model):
             self._memory = replace(self._memory, plain=None, contradicted=True)
             return None
         self._memory, doubt = replace(self._memory, plain=plain.memory), plain.doubts(look)

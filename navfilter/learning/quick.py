@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.spectral import spectral_factor
 from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, block_level
+from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.slow import SLOWER, slow_prior
 from navfilter.learning.unseen import WhiteDescription
 
@@ -30,8 +33,12 @@ EXCEEDED = 1.5
 #: Up to so many times the frequency of the slowest fast part the drift hides much [1], and estimates scatter by more:
 #: by up to 2.6 [1].
 HIDDEN, HIDDEN_BY = 4.0, 3.0
+#: By so much less likely must readings be where they are as described, for them to contradict it [nat]: twenty to one.
+WORSE = 3.0
 #: That there is a slow error beside what was described, and was not [probability].
 UNLIKELY = 0.05
+#: Of its power, at each of these frequencies [1].
+EXACT = 1e-3
 #: Frequencies that are compared.
 POINTS = 60
 
@@ -59,6 +66,41 @@ class QuickDescription:
     tau_s: float
     low: WhiteDescription
 
+    @cached_property
+    def arma(self) -> ArmaModel | None:
+        """The same as one process; None where rounding has made it another one: many smooth parts, often sampled."""
+        ar = np.ones(1)
+        for block in self.blocks:
+            ar = np.convolve(ar, np.poly(block.Phi)) if block.size else ar
+        covariance = np.zeros(2 * ar.size - 1)
+        for block in self.blocks:
+            covariance[0] += block.r
+            if block.size:
+                state = block.P0 @ block.C
+                for k in range(covariance.size):
+                    covariance[k] += block.C @ state
+                    state = block.Phi @ state
+        # without its poles it is a moving average
+        weights, reach = np.correlate(ar, ar, "full"), np.arange(1 - ar.size, ar.size)
+        lags = covariance[np.abs(np.arange(ar.size)[:, None] + reach)] @ weights
+        try:
+            model = ArmaModel(ar[1:], *spectral_factor(lags))
+        except ValueError:
+            return None
+        z = np.exp(2j * math.pi * np.geomspace(self.period_s / self.span_s, 0.5, POINTS))
+        ratio = _density(model, z) / sum(_power(block, z) for block in self.blocks)
+        return model if bool(np.all(np.abs(ratio - 1.0) < EXACT)) else None
+
+    def is_denied(self, likelihood: Likelihood, score: float) -> bool:
+        """Whether readings are much less likely as described than as a model that was found, by the `score` of that
+        (half of BIC).
+        """
+        model = self.arma
+        if model is None:
+            return True
+        theta = np.concatenate([model.ar, model.ma, [math.log(model.sd) + likelihood.log_unit]])
+        return likelihood.value(theta, model.ar.size) > score + WORSE
+
     def holds(self, fast: ArmaModel) -> bool:
         """Whether a fast part that was found has nowhere much more power than was described, as far as it is slower
         than the description's own correlation time.
@@ -66,9 +108,14 @@ class QuickDescription:
         slowest = 30.0 / (math.pi * self.span_s)
         frequency = np.geomspace(slowest, min(1.0 / (math.pi * self.tau_s), 0.5 / self.period_s), POINTS)
         z = np.exp(2j * math.pi * self.period_s * frequency)
-        found = fast.sd**2 * np.abs(_polynomial(fast.ma, z) / _polynomial(fast.ar, z)) ** 2
+        found = _density(fast, z)
         most = np.where(frequency < HIDDEN * slowest, HIDDEN_BY, EXCEEDED)
         return bool(np.all(found <= most * sum(_power(block, z) for block in self.blocks)))
+
+
+def _density(model: ArmaModel, z: NDArray[np.complex128]) -> Array:
+    """Spectral density per sample [unit^2]."""
+    return np.asarray(model.sd**2 * np.abs(_polynomial(model.ma, z) / _polynomial(model.ar, z)) ** 2)
 
 
 def _polynomial(coefficients: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from navfilter.error_models import ErrorModel
+from navfilter.learning.belief import learner_of, with_learnt
 from navfilter.learning.learned import LearnedArma, learned_part, learning_part
 from navfilter.learning.learner import hop_together
 from navfilter.learning.limits import least_window
-from navfilter.learning.listener import ChannelSeries, learner_of, with_learnt
+from navfilter.learning.listener import ChannelSeries
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 

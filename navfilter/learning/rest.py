@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.filter.filter import Filter
+from navfilter.learning.belief import believed
 from navfilter.learning.bias import hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
 from navfilter.learning.learner import Learner
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.limits import LONGEST_GAP
-from navfilter.learning.listener import believed
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 

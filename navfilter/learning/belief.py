@@ -1,0 +1,58 @@
+"""What a sensor's description has its learner believe, and what was learnt, put into that description."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from navfilter.error_models import ErrorModel
+from navfilter.learning.drift import Drift
+from navfilter.learning.learned import LONGEST_SPAN_S, LearnedArma, learned_part, with_learned
+from navfilter.learning.learner import Learner
+from navfilter.learning.learnt import Learnt
+from navfilter.learning.quick import quick_description
+from navfilter.learning.slow import SlowPrior, slow_prior
+from navfilter.learning.unseen import white_description
+from navfilter.sensors import Sensor
+
+__all__ = ["believed", "learner_of", "span_s", "with_learnt"]
+
+
+def with_learnt(model: ErrorModel, found: Learnt | None, frozen: bool = False) -> ErrorModel:
+    """An error model with what was found in force, and with nothing more to be learnt where it is `frozen`."""
+    part = learned_part(model)
+    if part is None or found is None:
+        return model
+    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
+    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum, frozen=frozen))
+
+
+def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, window: int | None = None) -> Learner:
+    """The learner of one axis of a correcting sensor.
+
+    Parameters
+    ----------
+    part : LearnedArma
+        Of the axis.
+    sensor : Sensor
+    drift : Drift
+    white : float
+        Known white variance in the series.
+    window : int, optional
+        Samples; default: that of the part.
+    """
+    part = part if window is None else replace(part, window=window)
+    period_s = 1.0 / sensor.rate_hz
+    described = white_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
+    prior = believed(part, period_s)
+    quick = quick_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
+    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described, quick=quick)
+
+
+def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
+    """The prior of the slow error of a part that learns at this period."""
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s))
+
+
+def span_s(part: LearnedArma, period_s: float) -> float:
+    """Time that the window of a learnt part holds, as far as it counts [s]."""
+    return min(part.window * period_s, LONGEST_SPAN_S)
