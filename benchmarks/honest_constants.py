@@ -99,6 +99,8 @@ def drawn(mission: nf.Mission) -> dict[str, float]:
         sensor, _, text = note.partition(": ")
         what, _, values = text.partition(" error ")
         names = DRAWN.get(what, ())
+        if what == "scale" and len(values.split()) == 3:
+            names = tuple(f"scale_{axis}" for axis in "xyz")
         if what == "deviation" and sensor == "attitude":
             sensor = "yaw"  # that of the drive's own compass
         if len(names) == len(values.split()):
