@@ -142,3 +142,9 @@ def _acoustics(mounted, nav, rng):
         *((measurement.usbl, seen, cfg, (size,), 3) for size, cfg in heard.items()),
         (measurement.usbl, np.where(np.arange(15) == 2, np.nan, seen), heard[7], (7,), 3),
     ]
+
+
+def drive_result(args):
+    nav, xd, drv, _, _, _, _, acc = args
+    m = acc.shape[1]
+    return nav[:3], nav[3:6], nav[6:15], nav[15:], xd, drv, acc[:m], acc[m : 2 * m]

@@ -433,7 +433,11 @@ dead_reckoning_traced = _traced(dead_reckoning_steps)
 
 def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     k, m = len(xd), len(xd) + 9
-    span, held, started, half = sample[0], drv[12], drv[13] != 0, 0.5 * sample[0]
+    span, started, half = sample[0], drv[13] != 0, 0.5 * sample[0]
+    if drv[12]:
+        _compound(acc, _hold_on(nav, xd, drv, -drv[12]))
+    drv[12] = 0.0
+    noise = 2.0 * Cr[:, k] + np.diag(Cr[:, :k] @ Qd @ Cr[:, :k].T)
     dev, par, arm, M = int(drv[41]), int(drv[42]), drv[44:47], drv[47:56].reshape(3, 3)
     late_a, late_v, lever, turn0 = int(drv[65]), int(drv[66]), int(drv[67]), drv[78:87].reshape(3, 3).copy()
     if lever >= 0:
@@ -446,7 +450,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     most_s = max(8.0, 20.0 * drv[36])
     drv[131] = drv[131] + span if started and (sample[1:4] == drv[59:62]).all() and sample[1:3].any() else 0.0
     drv[132] = drv[132] + span if started and (sample[4:7] == drv[133:136]).all() and sample[4:7].all() else 0.0
-    drv[133:136] = sample[4:7]
+    gained, drv[133:136] = sample[4:7] - drv[133:136], sample[4:7]
     missing = missing or drv[132] > most_s
     blind = drv[131] > most_s or not np.isfinite(sample[1:4]).all()
     if started and not blind:
@@ -459,6 +463,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         drv[137], missing = (drv[137] + 1, True) if odd else (0, False)
         if not odd:
             drv[138:141], drv[141] = sample[4:7], 0.0
+    per = 1.0 / span if started and span > 0 else 0.0
+    if not missing and np.isfinite(gained).all():
+        drv[149:155], drv[156] = _evenly(drv[152:155], per * M @ gained, per**2 * noise[3:].sum())
+    elif missing:
+        drv[149:152] = 0.0
     drv[129] = drv[129] + span if blind else 0.0
     drv[130] = drv[130] + span if missing else 0.0
     if blind:
@@ -481,9 +490,12 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     # each angle turns about one of these
     axes = np.zeros((3, 3)) if blind else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
-    per = 1.0 / span if started and span > 0 else 0.0
     turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
-    drv[64] = drv[64] if blind else per * np.linalg.norm(turned)
+    if blind:
+        drv[143:146], drv[155] = 0.0, drv[64]
+    else:
+        drv[64], rate = per * np.linalg.norm(turned), per * _body_angles(roll, pitch) @ turned
+        drv[143:149], drv[155] = _evenly(drv[146:149], rate, per**2 * noise[:3].sum())
     w = per * (l1 - l0)
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
@@ -502,19 +514,18 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
         J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - per * moved, a
-    u = u + current
     J[:3, 3:] = half * J[3:6, 3:]
     if flow >= 0:
         F[3:6, 9 + flow : 11 + flow] = (np.eye(3) - (B if missing else 0.0))[:, :2]
     F[:3] = half * F[3:6] + np.eye(3, m)
-    F[:3, 3:6] += (half - held) * np.eye(3)
+    F[:3, 3:6] += half * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)
     F[3:6, 6:9] -= per * skew(l0)
     if blind:
         # the attitude's error stays: it turns velocity and arm
-        by_turn = -skew(u - current) + per * skew(l1)
+        by_turn = -skew(u) + per * skew(l1)
         F[3:6, 6:9] += by_turn
-        F[:3, 6:9] += -half * skew(u - current) + skew(l1)
+        F[:3, 6:9] += -half * skew(u) + skew(l1)
         F[6:9, 6:9] += np.eye(3)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
     if lever >= 0:
@@ -522,10 +533,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         F[3:6, here] += held_turn - per * (C - C0)
         F[:3, here] += half * (held_turn + turn0) - started * (C - C0)
         drv[78:87] = per * (C - C0).ravel()
-    F[:3, :3] += (span - held) * _curvature(v0, nav[0], *nav[15:17])
-    drv[127:129] += (half * (v0 + w0 + u) - l1 + l0)[:2]
-    _move(nav, (half - held) * v0 + half * (w0 + u) - l1 + l0)
-    nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
+    F[:3, :3] += span * _curvature(v0, nav[0], *nav[15:17])
+    made = half * (v0 + w0 + u + current) - l1 + l0
+    drv[127:129] += made[:2]
+    _move(nav, made)
+    nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u + current - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
     _tick_drive(acc, F, xd, Phid, Qd, _ticks(span, drv[36]))
     Q, walk = acc[m : 2 * m], drv[40] ** 2 * span * np.eye(3)
     Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
@@ -537,6 +549,38 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
         Q[:2, :2] += np.eye(2) * 0.35**2 * (nav[3] ** 2 + nav[4] ** 2) * span**3 / 12.0
+
+
+def _evenly(before, now, variance):
+    """As far as it stands out of its noise, and as it is; by how much it was another before."""
+    square = now @ now
+    share = 1.0 - variance / square if square > variance else 0.0
+    return np.r_[share * now, now], np.linalg.norm(now - before)
+
+
+def _hold_on(nav, xd, drv, dt):
+    F, flow, current, C0, v0 = np.eye(len(xd) + 9), int(drv[125]), np.zeros(3), nav[6:15].reshape(3, 3), nav[3:6]
+    if flow >= 0:
+        current[:2] = xd[flow : flow + 2]
+    C = C0 @ rotation(dt * drv[143:146])
+    R = C @ C0.T
+    v = R @ (v0 - current) + dt * C @ drv[149:152]
+    F[3:6, 3:6], F[3:6, 6:9] = R, R @ skew(v0 - current) - skew(v)
+    bow = 0.5 * dt * np.diag([1.0 + (dt * drv[145]) ** 2 / 12.0] * 2 + [1.0])
+    F[:3, 3:9] = bow @ (F[3:6, 3:9] + np.eye(3, 6))
+    if flow >= 0:
+        F[3:6, 9 + flow : 11 + flow] = (np.eye(3) - R)[:, :2]
+        F[:3, 9 + flow : 11 + flow] = (dt * np.eye(3) - bow @ (np.eye(3) + R))[:, :2]
+    F[:3, :3] += dt * _curvature(v0, nav[0], *nav[15:17])
+    _move(nav, bow @ (v0 - current + v) + dt * current)
+    nav[3:6], nav[6:15] = v + current, C.ravel()
+    return F
+
+
+def _body_angles(roll, pitch):
+    """What changes of roll, pitch and yaw turn the body by."""
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    return np.array([[1.0, 0.0, -sp], [0.0, cr, sr * cp], [0.0, -sr, cr * cp]])
 
 
 def _scale_and_turn(par):
@@ -579,14 +623,17 @@ def _change(drv, sample, missing, Cr, Qd):
 
 
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
-    F = np.eye(len(acc[0]))
-    F[:3, 3:6] = dt * np.eye(3)
-    F[:3, :3] += dt * _curvature(nav[3:6], nav[0], *nav[15:17])
-    _move(nav, dt * nav[3:6])
+    _compound(acc, _hold_on(nav, xd, drv, dt))
+    longer, m, v = (drv[12] + dt) ** 2 - drv[12] ** 2, len(acc[0]), nav[3:6].copy()
     drv[12] += dt
-    _compound(acc, F)
-    m = len(acc[0])
-    acc[m : 2 * m][range(6, 9), range(6, 9)] += (drv[64] * dt) ** 2
+    if drv[125] >= 0:
+        v[:2] -= xd[int(drv[125]) :][:2]
+    # position, velocity and attitude by a turn, and by a change of the velocity: what the next sample makes of it
+    arm, half = drv[44:47] + (xd[int(drv[67]) :][:3] if drv[67] >= 0 else 0.0), drv[12] - 0.5 * drv[36]
+    swing = 1.5 * nav[6:15].reshape(3, 3) @ arm + 0.5 * drv[36] * drv[56:59]
+    turned = np.vstack([skew(swing) - half * skew(v), -skew(v), np.eye(3)])
+    gained = np.eye(9)[:, 3:6] + half * np.eye(9, 3)
+    acc[m : m + 9, :9] += longer * (drv[155] ** 2 * turned @ turned.T + drv[156] ** 2 * gained @ gained.T)
 
 
 # --- kernels/measurement.py: residual, and derivative of the reading
@@ -1537,7 +1584,8 @@ def reckoned_motion(recent, nav, drv, errors, rows, gravity_):
         force = np.cross(rate, nav[6:15].reshape(3, 3).T @ nav[3:6]) + gained / now[0]
         rows[1 + i] = np.concatenate([now[:1], rate, force])
     if count > 1:
-        rows[0] = np.concatenate([drv[12:13], rows[1, 1:4], np.zeros(3)])
+        force = np.cross(drv[143:146], nav[6:15].reshape(3, 3).T @ nav[3:6]) + drv[149:152]
+        rows[0] = np.concatenate([drv[12:13], drv[143:146], force])
 
 
 def slope_s(variance):

@@ -194,7 +194,7 @@ def test_a_constant_that_has_left_its_prior_is_kept_where_it_predicts_better(wit
 
 def test_the_scatter_of_the_parts_bounds_the_sd():
     """What the likelihood takes for white scatters more than it says."""
-    mission = simulate(reckoning(), WAY, seed=6, faults={"gps": Faults(true_error=nf.GaussMarkov(sd=3.0, tau_s=8.0))})
+    mission = simulate(reckoning(), WAY, seed=7, faults={"gps": Faults(true_error=nf.GaussMarkov(sd=3.0, tau_s=8.0))})
     result = nf.calibrate(reckoning(**UNSURE), [mission])
     plain = estimate(reckoning(**UNSURE), [mission])
     sd = {one.name: s for one, s in zip(plain.constants, plain.sd, strict=True)}
@@ -205,7 +205,7 @@ def test_the_scatter_of_the_parts_bounds_the_sd():
 
 def test_a_truth_serves_as_fixes():
     vehicle = reckoning(**UNSURE).without("gps")
-    mission = dive(7).without_stream("gps")
+    mission = dive(9).without_stream("gps")
     known, with_fixes = with_reference(vehicle, mission, 0.1)
     result = nf.calibrate(known, [with_fixes])
     assert REFERENCE in known.sensors and result.kept

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from kernel_inputs import (
     assert_close,
+    drive_result,
     imu_samples,
     random_drive,
     random_nav,
@@ -160,12 +161,6 @@ def test_kernels_are_cached_and_without_fastmath(name):
             assert "cache=True" in decorators or inlined or (shared and "**OPTIONS" in decorators), (
                 f"{name}.{node.name}: {decorators}"
             )
-
-
-def drive_result(args):
-    nav, xd, drv, _, _, _, _, acc = args
-    m = acc.shape[1]
-    return nav[:3], nav[3:6], nav[6:15], nav[15:], xd, drv, acc[:m], acc[m : 2 * m]
 
 
 @pytest.mark.parametrize("elements", [(), (0, 4, 8), (1, 2, 3, 5, 6, 7), tuple(range(18))], ids=len)

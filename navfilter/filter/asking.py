@@ -63,7 +63,6 @@ def shared(
         last[stretch.HOLD] = address(drive.hold, addresses.HOLD)
         last[stretch.CORRECTION] = address(stretch.correction, addresses.CORRECTION)
         for row in rows:
-            row[stretch.TURNS] &= drive.inertial
             if row[stretch.SIGHT]:
                 row[stretch.MOTION] = address(drive.moved, addresses.MOTION)
     else:

@@ -158,7 +158,7 @@ class Filter(Estimate):
         self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, np.sqrt(g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0, 0])
-        variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise
+        variance = self.vehicle.drive.rate_variance(g.Q, g.C, g.r)
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
         self._share()

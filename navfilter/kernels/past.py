@@ -118,7 +118,7 @@ def reckoned_motion(sources):
     @njit(cache=True)
     def reckoned_motion(recent, nav, drv, errors, rows, gravity):
         """As `inertial_motion`, of dead reckoning: turns and changes of the velocity from reading to reading; before
-        them, and since, the newest goes on. The forces are accelerations.
+        them the newest goes on, and since what is held. The forces are accelerations.
         """
         _ = sources
         for i in range(rows.shape[0]):
@@ -151,8 +151,11 @@ def reckoned_motion(sources):
             row[6] = row[1] * u[1] - row[2] * u[0] + gained[2] / now[0]
         if count > 1:
             rows[0, 0] = drv[strapdown.HELD_S]
-            for j in range(1, 4):
-                rows[0, j] = rows[1, j]
+            x, y, z = drv[strapdown.TURNING], drv[strapdown.TURNING + 1], drv[strapdown.TURNING + 2]
+            rows[0, 1], rows[0, 2], rows[0, 3] = x, y, z
+            rows[0, 4] = y * u[2] - z * u[1] + drv[strapdown.GAINING]
+            rows[0, 5] = z * u[0] - x * u[2] + drv[strapdown.GAINING + 1]
+            rows[0, 6] = x * u[1] - y * u[0] + drv[strapdown.GAINING + 2]
 
     return reckoned_motion
 

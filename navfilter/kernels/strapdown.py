@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (142,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (157,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -81,7 +81,10 @@ ODD_HEADING, ODD_VELOCITY, GOOD_VELOCITY, GOOD_S = 136, 137, 138, 141
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
 # 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`.
 OWN = 142
-DRIVE_SIZE = 143
+# Dead reckoning: how the vehicle goes on beyond the last sample, turning (3) [rad/s], and gaining velocity (3) [m/s^2],
+# in b, each followed by what it did between the last two readings (3); and by how much that was another before.
+TURNING, RATE, GAINING, TURN_CHANGE, SPEED_CHANGE = 143, 146, 149, 155, 156
+DRIVE_SIZE = 157
 # What changes is a mean over the longer of these [s], for readings are noisy, and over the shorter where it is off by
 # so many sd of the noise of a difference. A change counts as far as it stands out of so many sd of its own noise, which
 # is in the state's velocity, too: by it depths drew the clock of a velocity that scatters by 1 cm/s to one side, by one
@@ -1106,6 +1109,77 @@ def _keep_attitude(F, l1, u0, u1, u2, half, per):
         F[6 + j, 6 + j] += 1.0
 
 
+@njit(cache=True, error_model="numpy")
+def _evenly(drv, place, change, now, variance):
+    """Note in drv how fast something changes, three numbers at `place`, by what it has changed by `now`, and how much
+    that was another before, at `change`. It goes on as far as it stands out of its noise of this variance: the part of
+    the square beyond that is unbiased.
+    """
+    square, other = 0.0, 0.0
+    for i in range(3):
+        square += now[i] * now[i]
+        other += (now[i] - drv[place + 3 + i]) ** 2
+        drv[place + 3 + i] = now[i]
+    share = 1.0 - variance / square if square > variance else 0.0
+    drv[change] = math.sqrt(other)
+    for i in range(3):
+        drv[place + i] = share * now[i]
+
+
+@apart
+@njit(cache=True, error_model="numpy")
+def _hold_on(nav, xd, drv, dt, F):
+    """Go on evenly for `dt` seconds, or back: the vehicle turns, and its velocity in b changes, as between the last two
+    samples. F: transition of errors, but for the drive's states.
+    """
+    m = F.shape[1]
+    _clear_transition(F, m)
+    for i in range(9):
+        F[i, i] = 1.0
+    x, y, z = dt * drv[TURNING], dt * drv[TURNING + 1], dt * drv[TURNING + 2]
+    p, q = _rodrigues(x * x + y * y + z * z)
+    flow, half = int(drv[CURRENT]), 0.5 * dt
+    north, east = (xd[flow], xd[flow + 1]) if flow >= 0 else (0.0, 0.0)
+    # through the water, which does not turn
+    v0, v1, v2 = nav[3] - north, nav[4] - east, nav[5]
+    R, C, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        C[i, 0], C[i, 1], C[i, 2] = _turned(-p, q, x, y, z, nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i])
+    for i in range(3):
+        v[i] = dt * (C[i, 0] * drv[GAINING] + C[i, 1] * drv[GAINING + 1] + C[i, 2] * drv[GAINING + 2])
+        for j in range(3):
+            R[i, j] = C[i, 0] * nav[6 + 3 * j] + C[i, 1] * nav[7 + 3 * j] + C[i, 2] * nav[8 + 3 * j]
+        v[i] += R[i, 0] * v0 + R[i, 1] * v1 + R[i, 2] * v2
+    for i in range(3):
+        for j in range(3):
+            F[3 + i, 3 + j] = R[i, j]
+            if flow >= 0 and j < 2:
+                F[3 + i, 9 + flow + j] = (1.0 if i == j else 0.0) - R[i, j]
+        # an error of the attitude turns both velocities
+        F[3 + i, 6] = R[i, 1] * v2 - R[i, 2] * v1
+        F[3 + i, 7] = R[i, 2] * v0 - R[i, 0] * v2
+        F[3 + i, 8] = R[i, 0] * v1 - R[i, 1] * v0
+    F[3, 7], F[3, 8] = F[3, 7] + v[2], F[3, 8] - v[1]
+    F[4, 8], F[4, 6] = F[4, 8] + v[0], F[4, 6] - v[2]
+    F[5, 6], F[5, 7] = F[5, 6] + v[1], F[5, 7] - v[0]
+    bow = half * (1.0 + z * z / 12.0)  # the arc of an even turn: one way back is as long as several there
+    for i in range(3):
+        by = half if i == 2 else bow
+        for j in range(3, 9):
+            F[i, j] = by * F[3 + i, j]
+        F[i, 3 + i] += by
+        if flow >= 0:
+            for j in range(2):
+                same = 1.0 if i == j else 0.0
+                F[i, 9 + flow + j] = dt * same - by * (same + R[i, j])
+    _position_rows(nav, F, dt, m)
+    _move(nav, bow * (v0 + v[0]) + dt * north, bow * (v1 + v[1]) + dt * east, half * (v2 + v[2]))
+    nav[3], nav[4], nav[5] = v[0] + north, v[1] + east, v[2]
+    for i in range(3):
+        for j in range(3):
+            nav[6 + 3 * i + j] = C[i, j]
+
+
 @apart
 @njit(cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
@@ -1114,15 +1188,18 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a
     velocity that is NaN, or not a reading by the sensor's own limits, is held in body axes with growing uncertainty. An
     attitude with a NaN is held, too, and its error goes on from the last one that was read.
-    Position goes by the trapezoidal rule on the velocity of the instrument's point, and the lever arm enters through
-    the turn of the attitude itself, so that no angular rate is needed for it.
+    Position goes by the trapezoidal rule on the velocity of the instrument's point, which is short in a turn and right
+    again behind it, and the lever arm enters through the turn of the attitude itself, so that no angular rate is needed
+    for it.
     """
     k = len(xd)
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
-    B, err, late, wander, v, u, w, l0, l1 = (
+    B, gained, angles, err, late, wander, v, u, w, l0, l1 = (
         np.empty((3, 3)),
+        np.empty(3),
+        np.empty(3),
         np.empty(6),
         np.empty(6),
         np.zeros(6),
@@ -1133,13 +1210,16 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         np.empty(3),
     )
     C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
-    if drv[ATTITUDE_CLOCK] >= 0.0 or drv[VELOCITY_CLOCK] >= 0.0:
-        for i in range(6):
-            for s in range(k):
+    for i in range(6):
+        for s in range(k):
+            if Cr[i, s] != 0.0:
                 for j in range(k):
                     wander[i] += Cr[i, s] * Qd[s, j] * Cr[i, j]
     for n in range(samples.shape[0]):
-        span, held = samples[n, 0], drv[HELD_S]
+        span = samples[n, 0]
+        if drv[HELD_S] != 0.0:
+            _hold_on(nav, xd, drv, -drv[HELD_S], F)
+            _finish(xd, Phid, Qd, int(0), acc)
         drv[HELD_S] = 0.0
         # -- the sensors' own errors
         dev, par, step = int(drv[DEVIATION]), int(drv[SCALE]), int(drv[SCALE_STEP])
@@ -1150,6 +1230,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             err[i] = 0.0
             for s in range(k):
                 err[i] += Cr[i, s] * xd[s]
+        for i in range(3):
+            gained[i] = samples[n, 4 + i] - drv[PREVIOUS_VELOCITY_B + i]
         missing, moving = False, drv[ZERO_IS_VALID] != 0.0
         for i in range(4, 7):
             missing = missing or not abs(samples[n, i]) <= drv[MAX_SPEED]
@@ -1164,6 +1246,17 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if blind:
             for i in range(3):
                 samples[n, 1 + i] = drv[PREVIOUS_RPY + i]
+        per = 1.0 / span if drv[STARTED] != 0.0 and span > 0.0 else 0.0
+        if not missing and math.isfinite(gained[0] + gained[1] + gained[2]):
+            for i in range(3):
+                w[i] = per * (M[3 * i] * gained[0] + M[3 * i + 1] * gained[1] + M[3 * i + 2] * gained[2])
+            noise = 0.0
+            for i in range(3, 6):
+                noise += 2.0 * Cr[i, k] + wander[i]
+            _evenly(drv, GAINING, SPEED_CHANGE, w, per * per * noise)
+        elif missing:
+            for i in range(3):
+                drv[GAINING + i] = 0.0
         if late_a >= 0 or late_v >= 0:
             _change(drv, samples, n, missing, Cr, wander, late)
         for i in range(3):
@@ -1195,7 +1288,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         turned = 0.0
         for i in range(3):
             angle = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
-            turned += (angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)) ** 2
+            angles[i] = angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+            turned += angles[i] ** 2
             drv[PREVIOUS_RPY + i] = samples[n, 1 + i]
         # -- lever arm before and after, and its velocity: what the turn of the attitude moved it by
         e0, e1, e2 = drv[LEVER], drv[LEVER + 1], drv[LEVER + 2]
@@ -1204,8 +1298,18 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 row = ARM_TURN + 3 * i
                 drv[LEVER_VELOCITY + i] = drv[row] * e0 + drv[row + 1] * e1 + drv[row + 2] * e2
-        per = 1.0 / span if drv[STARTED] != 0.0 and span > 0.0 else 0.0
-        drv[TURN_RATE] = drv[TURN_RATE] if blind else per * math.sqrt(turned)
+        if blind:
+            for i in range(3):
+                drv[TURNING + i] = 0.0
+            drv[TURN_CHANGE] = drv[TURN_RATE]
+        else:
+            w[0] = per * (angles[0] - angles[2] * sp)
+            w[1] = per * (angles[1] * cr + angles[2] * sr * cp)
+            w[2] = per * (angles[2] * cr * cp - angles[1] * sr)
+            drv[TURN_RATE], noise = per * math.sqrt(turned), 0.0
+            for i in range(3):
+                noise += 2.0 * Cr[i, k] + wander[i]
+            _evenly(drv, TURNING, TURN_CHANGE, w, per * per * noise)
         for i in range(3):
             l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
             l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
@@ -1265,22 +1369,19 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(3):
             v[i] = u[i] - w[i]
         # -- transition
-        lead = half - held
         for i in range(3):
             for j in range(9):
                 F[i, j] = half * F[3 + i, j]
         for i in range(3):
             F[i, i] += 1.0
-            F[i, 3 + i] += lead
-            y0 = half * drv[LEVER_VELOCITY] + l0[0]
-            y1 = half * drv[LEVER_VELOCITY + 1] + l0[1]
-            y2 = half * drv[LEVER_VELOCITY + 2] + l0[2]
-        F[0, 7] += y2
-        F[0, 8] -= y1
-        F[1, 8] += y0
-        F[1, 6] -= y2
-        F[2, 6] += y1
-        F[2, 7] -= y0
+            F[i, 3 + i] += half
+        w0, w1, w2 = drv[LEVER_VELOCITY], drv[LEVER_VELOCITY + 1], drv[LEVER_VELOCITY + 2]
+        F[0, 7] += half * w2 + l0[2]
+        F[0, 8] -= half * w1 + l0[1]
+        F[1, 8] += half * w0 + l0[0]
+        F[1, 6] -= half * w2 + l0[2]
+        F[2, 6] += half * w1 + l0[1]
+        F[2, 7] -= half * w0 + l0[0]
         _turn_arm(F, l0, per)
         if blind:
             _keep_attitude(F, l1, through0, through1, through2, half, per)
@@ -1336,16 +1437,12 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 F[i, 9 + turned] -= y0
                 F[i, 10 + turned] -= y1
                 F[i, 11 + turned] -= y2
-        _position_rows(nav, F, span - held, m)
-        w0, w1 = drv[LEVER_VELOCITY], drv[LEVER_VELOCITY + 1]
-        drv[WAY] += half * (nav[3] + w0 + u[0]) - l1[0] + l0[0]
-        drv[WAY + 1] += half * (nav[4] + w1 + u[1]) - l1[1] + l0[1]
-        _move(
-            nav,
-            lead * nav[3] + half * (w0 + u[0]) - l1[0] + l0[0],
-            lead * nav[4] + half * (w1 + u[1]) - l1[1] + l0[1],
-            lead * nav[5] + half * (drv[LEVER_VELOCITY + 2] + u[2]) - l1[2] + l0[2],
-        )
+        _position_rows(nav, F, span, m)
+        y0 = half * (nav[3] + w0 + u[0]) - l1[0] + l0[0]
+        y1 = half * (nav[4] + w1 + u[1]) - l1[1] + l0[1]
+        y2 = half * (nav[5] + w2 + u[2]) - l1[2] + l0[2]
+        drv[WAY], drv[WAY + 1] = drv[WAY] + y0, drv[WAY + 1] + y1
+        _move(nav, y0, y1, y2)
         for i in range(3):
             nav[3 + i] = v[i]
             drv[LEVER_VELOCITY + i] = w[i]
@@ -1390,23 +1487,39 @@ def dead_reckoning_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
                 trace[n, 8 + m + i * m + j] = acc[i, j]
 
 
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(cache=True, error_model="numpy")
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
-    """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick.
+    """Carry the state `dt` seconds past the last sample, see `_hold_on`; the blocks do not tick.
 
-    The attitude stays, and becomes less certain by the angle that the vehicle may have turned: what it turned by
-    between the last samples.
+    It becomes less certain by how much turn and change of velocity were others in the interval before the last.
     """
     m = 9 + len(xd)
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
-    _clear_transition(F, m)
-    for i in range(9):
-        F[i, i] = 1.0
-    for i in range(3):
-        F[i, 3 + i] = dt
-    _position_rows(nav, F, dt, m)
-    _move(nav, dt * nav[3], dt * nav[4], dt * nav[5])
-    drv[HELD_S] += dt
+    _hold_on(nav, xd, drv, dt, F)
     _finish(xd, Phid, Qd, int(0), acc)
-    for i in range(6, 9):
-        Q[i, i] += (drv[TURN_RATE] * dt) ** 2
+    # of all that is held since the sample, less what has been added already
+    longer = (drv[HELD_S] + dt) ** 2 - drv[HELD_S] ** 2
+    drv[HELD_S] += dt
+    turned, gained = drv[TURN_CHANGE] ** 2 * longer, drv[SPEED_CHANGE] ** 2 * longer
+    flow, arm, half = int(drv[CURRENT]), int(drv[ARM]), drv[HELD_S] - 0.5 * drv[PERIOD_S]
+    e0, e1, e2 = drv[LEVER], drv[LEVER + 1], drv[LEVER + 2]
+    if arm >= 0:
+        e0, e1, e2 = e0 + xd[arm], e1 + xd[arm + 1], e2 + xd[arm + 2]
+    v0, v1, v2 = nav[3], nav[4], nav[5]
+    if flow >= 0:  # the water does not turn
+        v0, v1 = v0 - xd[flow], v1 - xd[flow + 1]
+    # The next sample goes on from the velocity, the attitude and the arm of the last one, as if they erred by what has
+    # changed since. So that nothing of that stays, the position errs by as much to the other side until then.
+    G = np.zeros((9, 6))
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        v = v0 if i == 0 else v1 if i == 1 else v2
+        swing = 1.5 * (nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2)
+        swing += 0.5 * drv[PERIOD_S] * drv[LEVER_VELOCITY + i]
+        # the error of a velocity is that of the attitude times it, see at the head of this file
+        G[3 + a, b], G[3 + b, a], G[6 + i, i], G[3 + i, 3 + i], G[i, 3 + i] = v, -v, 1.0, 1.0, half
+        G[a, b], G[b, a] = half * v - swing, swing - half * v
+    for i in range(9):
+        for j in range(9):
+            for k in range(6):
+                Q[i, j] += G[i, k] * (turned if k < 3 else gained) * G[j, k]

@@ -134,6 +134,8 @@ def correction(sources):
             per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
             for i in range(3):
                 rate[i] = drv[strapdown.PREVIOUS + i] / per - off[i]
+                if drv[strapdown.INERTIAL] == 0.0:
+                    rate[i] = drv[strapdown.RATE + i]
             if spot[READS_RATE]:
                 own = spare[6 * (m - 8) : 6 * (m - 8) + z.size]
                 for i in range(z.size):

@@ -208,6 +208,17 @@ class DeadReckoning(Mechanisation):
             result[name] = next(word for word, holds in found.items() if holds)
         return result
 
+    def body_rate(self, drv: Array, errors: Array) -> Array | float:
+        """That of the turn from the last attitude to this one; slow errors of both are the same."""
+        rate: Array = drv[strapdown.RATE : strapdown.RATE + 3]
+        return rate
+
+    def rate_variance(self, Q: Array, C: Array, white: Array) -> Array:
+        """Of the difference of two attitudes: their white noise, and what their slow errors wander by."""
+        k = C.shape[1]  # behind them stand constants
+        wander: Array = np.einsum("ij,jk,ik->i", C[:3], Q[:k, :k], C[:3])
+        return (2.0 * white[:3] + wander) / self.period_s**2
+
     def at_rest(self, state: NavState, drv: Array) -> Array:
         """Its attitude, by the compass as it is."""
         return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])

@@ -205,6 +205,10 @@ class Imu(Mechanisation):
         rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] / (self.period_s if self.increments else 1.0)
         return rate - errors
 
+    def rate_variance(self, Q: Array, C: Array, white: Array) -> Array:
+        """That of the gyros, until the watch over them says otherwise."""
+        return white[:3]
+
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """The stream as it is."""
         return streams["imu"].time_s, streams["imu"].value[:, :6]

@@ -289,6 +289,17 @@ class Mechanisation(Typed):
         """
         return 0.0
 
+    def rate_variance(self, Q: Array, C: Array, white: Array) -> Array:
+        """White variance of its angular rate, shape (3,) [rad^2/s^2].
+
+        Parameters
+        ----------
+        Q, C, white : ndarray
+            What its error states gather in a sample, the rows (6, k) by which they make its errors, and the white
+            variances of its six values.
+        """
+        return np.zeros(3)
+
     # ---------------------------------------------------------------- what files and checks ask
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """Samples from its streams: times (n,) and six values (n, 6).
