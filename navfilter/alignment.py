@@ -337,8 +337,20 @@ def _headings(vehicle: Vehicle, mission: Mission, begin: float, window_s: float)
     for sensor, whole in _whole(vehicle, mission, begin, begin + window_s):
         readings = [reading for _, reading in whole]
         if readings:
+            _check_radians(sensor, np.array(readings))
             return sensor, np.array(readings)
     return None
+
+
+def _check_radians(sensor: Any, readings: Array) -> None:
+    """Refuse a heading or an attitude to start with that is more than two turns: it would be any."""
+    if sensor.unit == "rad" and sensor.words != "magnetometer":
+        largest = float(np.abs(readings[:, : sensor.reads]).max())
+        if largest > 4.0 * math.pi:
+            raise ValueError(
+                f"the {sensor.words} begins with {largest:g} rad: is it in degrees? np.radians turns them into what "
+                "streams hold."
+            )
 
 
 def _again(sd: float) -> float:

@@ -63,7 +63,7 @@ def needs(owner: str, value: object, *kinds: type, hint: str = "") -> None:
 
 
 #: What is not called by the name of its class.
-_WORDS: dict[type, str] = {str: "text", PathLike: "a path", Mapping: "a dict", type(None): "None"}
+_WORDS: dict[type, str] = {str: "text", bytes: "bytes", PathLike: "a path", Mapping: "a dict", type(None): "None"}
 
 
 def _one(kind: type) -> str:

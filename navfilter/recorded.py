@@ -12,6 +12,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["drive_samples", "readings_of"]
 
 Array = NDArray[np.float64]
+#: Readings that are farther from the drive than this are of another clock [s]: a dive may be without any for long.
+DAY_S = 86400.0
 
 
 def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
@@ -66,6 +68,7 @@ def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
             )
         streams.append(mission.streams[name])
     stamps = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
+    _check_clocks(vehicle, mission, stamps)
     sizes = np.array([len(stream) for stream in streams], dtype=int)
     late_s = np.repeat([vehicle.sensors[name].time_offset_s for name in names], sizes)
     times = stamps - late_s if late_s.any() else stamps
@@ -75,6 +78,20 @@ def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
     order = order[times[order] >= begin_s - 1e-9]
     values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
     return Readings(times[order], stamps[order], number[order], rows[order], names, values, sds)
+
+
+def _check_clocks(vehicle: Vehicle, mission: Mission, stamps: Array) -> None:
+    """Refuse readings of another day than the drive's: none of them would ever be used."""
+    drive = [mission.streams[name].time_s for name in vehicle.driving if len(mission.streams.get(name, ()))]
+    if not drive or not len(stamps):
+        return
+    begin_s, end_s = min(times[0] for times in drive), max(times[-1] for times in drive)
+    if max(stamps.min() - end_s, begin_s - stamps.max()) > DAY_S:
+        raise ValueError(
+            f"the drive's stream is of {begin_s:.10g} to {end_s:.10g} s, all readings of the sensors of "
+            f"{stamps.min():.10g} to {stamps.max():.10g} s: bring them to one clock (Stream.later, or offset_s in "
+            "mission.toml)."
+        )
 
 
 def _sds(stream: Stream) -> list[Array | None] | None:

@@ -14,6 +14,7 @@ from small_run import small_run
 
 import navfilter as nf
 from navfilter.kernels import kalman
+from navfilter.simulation.campaigns import stage
 
 WHITE = nf.White(sd=0.1)
 IMU = nf.Imu(rate_hz=100)
@@ -187,7 +188,7 @@ def wrong_runs():
         "Navigator: tape must be a Tape or None, found True": lambda: nf.Navigator(VEHICLE, START, True),
         "LaneNavigator: vehicle must be a Vehicle, found a Start": lambda: nf.LaneNavigator(START, VEHICLE),
         "restore: vehicle must be a Vehicle, found None": lambda: nf.Navigator.restore(None, b""),
-        "restore: source must be a bytes or a path or text, found None": lambda: nf.Navigator.restore(VEHICLE, None),
+        "restore: source must be bytes or a path or text, found None": lambda: nf.Navigator.restore(VEHICLE, None),
         "warm_up: vehicle must be a Vehicle or None, found 3": lambda: nf.warm_up(3),
         "between rows needs two of them, this track has 1": lambda: track.keep(0).at([0.0]),
         "1 of 2 times lie outside this track, the first is 1e+06 s": lambda: track.at([10.0, 1e6]),
@@ -225,6 +226,18 @@ def test_wrong_runs_are_refused_in_words(words):
     with pytest.raises(ValueError) as refused:
         wrong_runs()[words]()
     assert words in str(refused.value)
+
+
+def test_degrees_and_other_clocks_are_noticed():
+    """The start had any heading; nothing was ever used."""
+    staged = stage("compass-rolling", duration_s=20.0, imu_rate_hz=20.0)
+    vehicle, mission = staged.vehicle, staged.mission(1).with_start(None)
+    compass, imu = mission.streams["compass"], mission.streams["imu"]
+    degrees = nf.Stream(compass.time_s, 180.0 + np.degrees(compass.value), compass.columns)
+    with pytest.raises(ValueError, match="rad: is it in degrees"):
+        nf.replay(vehicle, mission.with_stream("compass", degrees))
+    with pytest.raises(ValueError, match="bring them to one clock"):
+        nf.replay(vehicle, mission.with_stream("imu", imu.later(1.78e9)), start=staged.mission(1).start)
 
 
 def test_rows_of_a_track():
