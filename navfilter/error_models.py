@@ -23,6 +23,7 @@ from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
 from navfilter.constants import ROOT_HOUR
 from navfilter.descriptions import Typed
+from navfilter.notebook import Value
 
 __all__ = [
     "Arma",
@@ -47,8 +48,8 @@ CORRELATION_CONSTANTS = {1: 1.0, 2: 2.14619322062, 3: 2.90462997502, 4: 3.512648
 UNIT_ROOT = 1e-12
 
 
-@dataclass(frozen=True)
-class Block:
+@dataclass(frozen=True, eq=False, repr=False)
+class Block(Value):
     """One axis of an error model, discretised at the period of its sensor.
 
     Attributes
@@ -66,6 +67,10 @@ class Block:
     C: Array
     r: float
     P0: Array
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows = {name: getattr(self, name).tolist() if self.size else None for name in ("Phi", "Q", "C", "P0")}
+        return f"Block of {self.size} states", {**rows, "r": self.r}
 
     @property
     def size(self) -> int:

@@ -22,6 +22,7 @@ from navfilter.identification.conditioning import Conditioned, bridged, conditio
 from navfilter.identification.reading import Reading, read_model
 from navfilter.io import units
 from navfilter.io.series import Series
+from navfilter.notebook import Value
 
 __all__ = ["Identification", "identify", "model_allan_deviation"]
 
@@ -36,8 +37,8 @@ BRIDGED_SHARE = 0.02
 GAPPY_ORDER, GAPPY_SAMPLES = 2, 3000
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Value):
     """What was found.
 
     Attributes
@@ -70,6 +71,12 @@ class Identification:
     allan: Array
     allan_model: Array
     remarks: tuple[str, ...]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        title, rows = self.fit._shown()
+        rows |= {"residuals": "white" if self.tests.is_white else "coloured", "error model": self.reading.error}
+        rows["remarks"] = " ".join(self.remarks) or None
+        return f"Identification by {title}: {self.reading.text}", rows
 
 
 def identify(

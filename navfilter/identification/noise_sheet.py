@@ -20,6 +20,7 @@ from navfilter.identification.noise_terms import NoiseFit
 from navfilter.identification.stillness import bridged_rest, moving_together, stillness, without_defects
 from navfilter.io.inertial import ImuRecord
 from navfilter.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
+from navfilter.notebook import Shown
 
 __all__ = ["AxisSheet", "NoiseSheet", "NotAtRest", "noise_sheet", "quantisation"]
 
@@ -84,8 +85,8 @@ class AxisSheet:
         return self.name.startswith("gyro")
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseSheet:
+@dataclass(frozen=True, eq=False, repr=False)
+class NoiseSheet(Shown):
     """What was found of an inertial unit.
 
     Attributes
@@ -111,6 +112,11 @@ class NoiseSheet:
     axes: tuple[AxisSheet, ...]
     moving: tuple[str, ...]
     remarks: tuple[str, ...]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        rows: dict[str, object] = {"record": f"{self.duration_s:.0f} s, {self.rate_hz:.4g} Hz", "verdict": self.verdict}
+        rows |= {"axes": ", ".join(axis.name for axis in self.axes), "remarks": " ".join(self.remarks) or None}
+        return f"NoiseSheet of {self.source}", rows
 
     @property
     def verdict(self) -> str:

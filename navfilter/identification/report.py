@@ -211,7 +211,7 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
     """
     scaled = _scaled(error, units.unit(unit).factor)
     parts = scaled.parts if isinstance(scaled, Sum) else (scaled,)
-    python = " + ".join(_python(part) for part in parts)
+    python = " + ".join(f"nf.{part!r}" for part in parts)
     return f"error = {toml_text(toml_value(scaled, type(scaled), 'error'))}", f"error={python}"
 
 
@@ -222,12 +222,6 @@ def _scaled(error: ErrorModel, factor: float) -> ErrorModel:
     sizes = {f.name: getattr(own, f.name) for f in dataclasses.fields(own) if f.name in ("sd", "density", "start_sd")}
     changed = {name: float(f"{value * factor:.6g}") for name, value in sizes.items() if value is not None}
     return dataclasses.replace(error, **changed)  # type: ignore[type-var]
-
-
-def _python(error: ErrorModel) -> str:
-    shown = {f.name: (getattr(error, f.name), f.default) for f in dataclasses.fields(error)}  # type: ignore[arg-type]
-    text = ", ".join(f"{name}={value!r}" for name, (value, default) in shown.items() if value != default)
-    return f"nf.{type(error).__name__}({text})"
 
 
 # --- JSON -----------------------------------------------------------------------------------------------------------
