@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -314,6 +314,10 @@ class Arma(ErrorModel):
     ar: tuple[float, ...]
     ma: tuple[float, ...] = ()
     sd: float = field(default=1.0)
+
+    if TYPE_CHECKING:  # what is handed over becomes what the fields are
+
+        def __init__(self, ar: Sequence[float], ma: Sequence[float] = (), sd: float = 1.0) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -344,3 +344,28 @@ def test_completion_shows_what_is_public():
     with pytest.raises(AttributeError, match="Navigatr") as missing:
         _ = nf.Navigatr
     assert missing.value.name == "Navigatr" and missing.value.obj is nf
+
+
+@pytest.mark.slow
+def test_a_checked_script_of_a_user(tmp_path):
+    """What docstrings call a sequence may be a list, and a misspelt name is found."""
+    api = pytest.importorskip("mypy.api")
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    found, _, status = api.run(["--strict", "--cache-dir", str(tmp_path / "cache"), str(script)])
+    assert status == 1 and found.count("error:") == 1 and 'Unexpected keyword argument "rate" for "Heading"' in found
+
+
+SCRIPT = """
+import numpy as np
+import navfilter as nf
+
+learnt = nf.LearnedArma(orders=[(1, 0), (2, 1)], prior=nf.GaussMarkov(sd=0.01, tau_s=30))
+mission = nf.Mission("dive", {"depth": nf.Stream(np.arange(3), [1.0, 2.0, 3.0], ["depth_m"])})
+sensors = {"depth": nf.Depth(error=learnt + nf.White(sd=0.1)), "compass": nf.Heading(error=nf.Arma(ar=[-0.8]))}
+vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors=sensors)
+track: nf.Track = nf.replay(vehicle, mission).at([0.0, 1.0])
+outcome: nf.Outcome = nf.Navigator(vehicle, nf.Start(latitude_deg=45.0, longitude_deg=-4.0)).correct("depth", 0, [1])
+sd: float = nf.fit_arma([1.0] * 100, 1, 1).model.sd + nf.ArmaModel([-0.8], [], 1.0).sd
+nf.Heading(rate=8)
+"""

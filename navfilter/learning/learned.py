@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +105,20 @@ class LearnedArma(ErrorModel):
     slow: ErrorModel | None = None
     frozen: bool = False
     spectrum: Spectrum | None = field(default=None, compare=False)
+
+    if TYPE_CHECKING:  # what is handed over becomes what the fields are
+
+        def __init__(
+            self,
+            prior: ErrorModel | None = None,
+            orders: Sequence[tuple[int, int]] = DEFAULT_ORDERS,
+            window: int = 4000,
+            hop: int | None = None,
+            model: ArmaModel | None = None,
+            slow: ErrorModel | None = None,
+            frozen: bool = False,
+            spectrum: Spectrum | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()
