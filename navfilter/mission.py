@@ -95,7 +95,7 @@ class Stream(Value):
         if value.ndim != 2 or value.shape[0] != time_s.size:
             raise ValueError(f"value must have one row per time ({time_s.size}), found shape {value.shape}.")
         named = self.columns if len(self.columns) else getattr(self.value, "columns", ())  # of a table of pandas
-        columns = (named,) if isinstance(named, str) else tuple(map(str, named))
+        columns = (named,) if isinstance(named, str) else tuple(name for name in named if isinstance(name, str))
         columns = columns or tuple(f"column_{k}" for k in range(value.shape[1]))
         if len(columns) != value.shape[1]:
             raise ValueError(f"{len(columns)} column names {columns} for {value.shape[1]} columns of values.")
