@@ -167,7 +167,8 @@ class Health(Value):
             rows["within"] = f"{self.bounds.horizontal_m:.3g} m, {math.degrees(self.bounds.heading_rad):.3g} deg"
         rows["axes"] = ", ".join(f"{name} {now}" for name, now in self.axes.items() if now != "good") or None
         rows |= {name: sensor.in_words for name, sensor in self.sensors.items()}
-        rows |= {f"lane {name}": f"{lane.condition}, gain {lane.gain:.3g}" for name, lane in self.lanes.items()}
+        for name, lane in self.lanes.items():
+            rows[f"lane {name}"] = lane.condition + ("" if math.isnan(lane.gain) else f", gain {lane.gain:.3g}")
         rows["irregular"] = ", ".join(f"{count} {name}" for name, count in self.drive.items() if count) or None
         return "Health" if self.trust is None else f"Health: {self.trust.level}", rows
 
