@@ -39,8 +39,9 @@ def posterior(seed, told, prior=PRIOR):
     return _weighed(lines, prior)
 
 
-def by_loops(posteriors, prior):
+def by_loops(posteriors, priors):
     """Weights of all nodes: the joint posterior of centre and axes, one centre after the other."""
+    prior = priors[0]
 
     def gauss(x):
         return math.exp(-0.5 * x * x)
@@ -58,8 +59,10 @@ def by_loops(posteriors, prior):
         return gauss((log_sd - centre[0]) / APART) * gauss((log_tau - centre[1]) / APART) / max(among, 1e-30)
 
     tables = []
-    for one in posteriors:
-        nodes = list(zip(one.log_sd, np.log(one.tau_s), one.weight, strict=True))
+    for one, own in zip(posteriors, priors, strict=True):
+        # as far from what is believed of this axis as the centre is from what is believed of the first
+        log_sd = one.log_sd - own.centre[0] + prior.centre[0]
+        nodes = list(zip(log_sd, np.log(one.tau_s), one.weight, strict=True))
         mean = [sum(c[2] * given(s, t, c) for c in centres) / sum(c[2] for c in centres) for s, t, _ in nodes]
         # times the posterior by itself, over the prior that is in it
         tables.append(
@@ -75,9 +78,13 @@ def by_loops(posteriors, prior):
     return out
 
 
-def test_it_is_the_joint_posterior_of_centre_and_axes():
-    posteriors = [posterior(seed, told) for seed, told in ((1, 5.0), (2, 0.3), (3, 1.0))]
-    for found, weights in zip(alike(posteriors, PRIOR), by_loops(posteriors, PRIOR), strict=True):
+@pytest.mark.parametrize("medians", [(0.5, 0.5, 0.5), (0.5, 0.8, 1.0)])
+def test_it_is_the_joint_posterior_of_centre_and_axes(medians):
+    priors = [replace(PRIOR, median=median) for median in medians]
+    axes = zip(((1, 5.0), (2, 0.3), (3, 1.0)), priors, strict=True)
+    posteriors = [posterior(seed, told, prior) for (seed, told), prior in axes]
+    told = alike(list(zip(posteriors, priors, strict=True)))
+    for found, weights in zip(told, by_loops(posteriors, priors), strict=True):
         # the grid of the centres ends at 3.5 sd
         assert np.abs(found.weight - weights).sum() < 2e-3
 
@@ -85,26 +92,26 @@ def test_it_is_the_joint_posterior_of_centre_and_axes():
 def test_evidence_stays_what_it_was_and_an_axis_by_itself_too():
     """What the others say is no evidence of this axis: at the next hop it would count twice."""
     one, other = posterior(1, 5.0), posterior(2, 0.3)
-    told = alike([one, other], PRIOR)[1]
+    told = alike([(one, PRIOR), (other, PRIOR)])[1]
     assert not np.allclose(told.weight, other.weight)
     assert told.lines is other.lines
-    assert alike([one], PRIOR) == [one]
+    assert alike([(one, PRIOR)]) == [one]
 
 
 def test_an_error_that_is_not_there_says_nothing():
     none = posterior(1, 5.0)
     none = none.given(0.0)
     other = posterior(2, 0.3)
-    np.testing.assert_allclose(alike([none, other], PRIOR)[1].weight, other.weight, rtol=1e-9)
+    np.testing.assert_allclose(alike([(none, PRIOR), (other, PRIOR)])[1].weight, other.weight, rtol=1e-9)
 
 
 def test_where_the_prior_is_as_narrow_as_axes_are_alike_hardly_anything_is_said():
     """The centre is known then."""
     prior = replace(PRIOR, spread=APART, tau_spread=APART)
     one, other = posterior(1, 5.0, prior), posterior(2, 0.3, prior)
-    narrow = np.abs(alike([one, other], prior)[1].weight - other.weight).sum()
+    narrow = np.abs(alike([(one, prior), (other, prior)])[1].weight - other.weight).sum()
     one, other = posterior(1, 5.0), posterior(2, 0.3)
-    assert narrow < 0.3 * np.abs(alike([one, other], PRIOR)[1].weight - other.weight).sum()
+    assert narrow < 0.3 * np.abs(alike([(one, PRIOR), (other, PRIOR)])[1].weight - other.weight).sum()
 
 
 # --- axes -----------------------------------------------------------------------------------------------------------

@@ -30,31 +30,30 @@ REACH = 3.5
 LEAST_DENSITY = 1e-30
 
 
-def alike(posteriors: Sequence[SlowPosterior], prior: SlowPrior) -> list[SlowPosterior]:
-    """The posteriors of axes with the same prior, each with what the others say of the centre.
+def alike(axes: Sequence[tuple[SlowPosterior, SlowPrior]]) -> list[SlowPosterior]:
+    """The posteriors of axes that are described alike, each with what the others say of the centre.
 
     Parameters
     ----------
-    posteriors : sequence of SlowPosterior
-        Of each axis by itself.
-    prior : SlowPrior
-        Of all of them.
+    axes : sequence of (SlowPosterior, SlowPrior)
+        Each axis by itself, and what is believed of it: the same but for the size, which is told by its fast part.
     """
-    if len(posteriors) < 2:
-        return list(posteriors)
+    if len(axes) < 2:
+        return [posterior for posterior, _ in axes]
+    prior = axes[0][1]
     belief = np.outer(_centres(prior.spread)[1], _centres(prior.tau_spread)[1])
-    densities = [_densities(one, prior) for one in posteriors]
+    densities = [_densities(*axis) for axis in axes]
     # an error that is not there says nothing of the centre
     said = [
         np.log((by_sd * one.weight[:, None]).T @ by_tau)
-        for one, (by_sd, by_tau) in zip(posteriors, densities, strict=True)
+        for (one, _), (by_sd, by_tau) in zip(axes, densities, strict=True)
     ]
     together = np.sum(said, axis=0)
     out = []
-    for one, (by_sd, by_tau), own in zip(posteriors, densities, said, strict=True):
+    for (one, own_prior), (by_sd, by_tau), own in zip(axes, densities, said, strict=True):
         share = belief * np.exp(together - own - (together - own).max())
         factor = ((by_sd @ (share / share.sum())) * by_tau).sum(axis=1)
-        out.append(one.told(prior, np.log(factor)))
+        out.append(one.told(own_prior, np.log(factor)))
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from navfilter.error_models import ErrorModel
+from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import LONGEST_SPAN_S, LearnedArma, learned_part, with_learned
 from navfilter.learning.learner import Learner
@@ -43,14 +44,16 @@ def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, wi
     part = part if window is None else replace(part, window=window)
     period_s = 1.0 / sensor.rate_hz
     described = white_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
-    prior = believed(part, period_s)
+    # a drift hides slow errors of velocities and positions; the usual error of a kind says nothing of this sensor's
+    is_hidden = sensor.open_loop in (listen.VELOCITY, listen.POSITION) and part.prior not in (None, sensor.prior)
+    prior = believed(part, period_s, is_hidden)
     quick = quick_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
     return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described, quick=quick)
 
 
-def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
+def believed(part: LearnedArma, period_s: float, is_hidden: bool = False) -> SlowPrior | None:
     """The prior of the slow error of a part that learns at this period."""
-    return slow_prior(part.prior or part, period_s, span_s(part, period_s))
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s), is_hidden)
 
 
 def span_s(part: LearnedArma, period_s: float) -> float:

@@ -45,6 +45,8 @@ class Look(NamedTuple):
         Samples that count.
     plain : Learnt or None
         What is handed out instead, as a description without slow parts has it.
+    prior : SlowPrior or None
+        Of the slow part, given the fast one.
     """
 
     series: Array
@@ -53,6 +55,7 @@ class Look(NamedTuple):
     posterior: SlowPosterior | None
     n: int
     plain: Learnt | None = None
+    prior: SlowPrior | None = None
 
     @property
     def is_coloured(self) -> bool:
@@ -201,14 +204,15 @@ class Learner:
         scores = {order: self._score(point, n) for order, point in fits.items()}
         best = min(scores, key=lambda order: scores[order])
         point, tried = self._smooth(likelihood, fits, scores, best, n)
-        posterior = None
+        posterior = prior = None
         if self.prior is not None:
+            prior = self.prior.beside(learnt_from(likelihood, point, None, n).model.variance)
             forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
-            posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
+            posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting, prior)
             if first > 0 and self._contradicted(likelihood, point, posterior):
-                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
+                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0, prior)
         self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
-        return Look(y, likelihood, point, posterior, n, self._as_described(y, fresh))
+        return Look(y, likelihood, point, posterior, n, self._as_described(y, fresh), prior)
 
     def _as_described(self, series: Array, fresh: int) -> Learnt | None:
         """What is learnt where slow errors are as unlikely as the description has them, while readings bear it out."""
@@ -232,7 +236,7 @@ class Learner:
         """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability
         of `present`.
         """
-        series, likelihood, point, posterior, n, plain = look
+        series, likelihood, point, posterior, n, plain, _ = look
         if plain is not None:
             return plain
         if doubt is not None:
@@ -396,13 +400,14 @@ def hop_together(
 
 def _told_by_others(pairs: list[tuple[Learner | None, Look | None]]) -> list[tuple[Learner | None, Look | None]]:
     """The looks of all axes, those that are described alike with what the others say of their slow errors."""
-    axes: dict[SlowPrior, dict[int, SlowPosterior]] = {}
+    axes: dict[SlowPrior, list[int]] = {}
     for axis, (learner, look) in enumerate(pairs):
         if learner and learner.prior and look and look.posterior:
-            axes.setdefault(learner.prior, {})[axis] = look.posterior
-    for prior, posteriors in axes.items():
-        for axis, told in zip(posteriors, alike(list(posteriors.values()), prior), strict=True):
-            learner, look = pairs[axis]
-            assert look is not None
-            pairs[axis] = learner, look._replace(posterior=told)
+            axes.setdefault(learner.prior, []).append(axis)
+    for same in axes.values():
+        looks = [look for _, look in (pairs[axis] for axis in same) if look is not None]
+        found = [(look.posterior, look.prior) for look in looks]
+        told = alike([(posterior, prior) for posterior, prior in found if posterior and prior])
+        for axis, look, posterior in zip(same, looks, told, strict=True):
+            pairs[axis] = pairs[axis][0], look._replace(posterior=posterior)
     return pairs

@@ -154,7 +154,13 @@ def slow_psd(order: Array, sd: Array, tau_s: Array, frequency_hz: Array) -> Arra
 
 
 def follow(
-    likelihood: Likelihood, theta: Array, p: int, known: Mapping[Place, Line], first: int, forgetting: float
+    likelihood: Likelihood,
+    theta: Array,
+    p: int,
+    known: Mapping[Place, Line],
+    first: int,
+    forgetting: float,
+    prior: SlowPrior | None = None,
 ) -> SlowPosterior:
     """The posterior of the slow part, given the fast one.
 
@@ -172,8 +178,10 @@ def follow(
         Samples from here on are new; the others have been counted in `known`.
     forgetting : float
         Share of the earlier evidence that still counts.
+    prior : SlowPrior, optional
+        Default: that of the likelihood.
     """
-    prior = likelihood.prior
+    prior = prior or likelihood.prior
     assert prior is not None
     fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
     taus = prior.taus_s

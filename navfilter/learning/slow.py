@@ -8,7 +8,7 @@ a fit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -47,6 +47,10 @@ class SlowPrior:
         Its correlation time [s].
     span_s : float
         Time that the window holds [s]. Errors quicker than a sixtieth of it are the fast part's.
+    white : float
+        Variance of the white noise beside it in the vehicle file [unit^2].
+    is_hidden : bool
+        Readings tell little of it: see `beside`.
 
     Attributes
     ----------
@@ -65,6 +69,8 @@ class SlowPrior:
     sd: float
     tau_s: float
     span_s: float
+    white: float = 0.0
+    is_hidden: bool = False
     median: float = 0.5
     spread: float = 1.0
     tau_spread: float = 2.0
@@ -107,6 +113,15 @@ class SlowPrior:
         """ln sd and ln tau."""
         return math.log(self.median * self.sd), math.log(self.tau_s)
 
+    def beside(self, variance: float) -> SlowPrior:
+        """What is believed of one that is hidden where the fast part has this variance [unit^2]: what was described of
+        the whole and is not there is where readings cannot tell.
+        """
+        if not self.is_hidden:
+            return self
+        rest = 1.0 + (self.white - variance) / self.sd**2
+        return replace(self, median=math.sqrt(min(max(rest, self.median**2), 1.0)))
+
     def log_mass(self) -> float:
         """Of all nodes, with the constant that `log_density` is without."""
         off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
@@ -118,7 +133,7 @@ class SlowPrior:
         return (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
 
 
-def slow_prior(model: ErrorModel, period_s: float, span_s: float) -> SlowPrior | None:
+def slow_prior(model: ErrorModel, period_s: float, span_s: float, is_hidden: bool = False) -> SlowPrior | None:
     """The prior of the slow part from an error model of the vehicle file; None where it has white noise alone.
 
     Parameters
@@ -129,6 +144,8 @@ def slow_prior(model: ErrorModel, period_s: float, span_s: float) -> SlowPrior |
         Of the sensor [s].
     span_s : float
         Time that the window holds [s].
+    is_hidden : bool
+        Readings tell little of slow errors.
     """
     parts = model.parts if isinstance(model, Sum) else (model,)
     blocks = [part.block(period_s) for part in parts if not isinstance(part, RandomWalk)]
@@ -137,7 +154,8 @@ def slow_prior(model: ErrorModel, period_s: float, span_s: float) -> SlowPrior |
         return None
     # of a Gauss-Markov process S(0) is twice variance times correlation time
     power = sum(block_level(block) - block.r for block in blocks) * period_s
-    return SlowPrior(math.sqrt(variance), max(SLOWER * power / (2.0 * variance), span_s / 50.0), span_s)
+    white, tau_s = sum(block.r for block in blocks), max(SLOWER * power / (2.0 * variance), span_s / 50.0)
+    return SlowPrior(math.sqrt(variance), tau_s, span_s, white, is_hidden)
 
 
 def drift_chain(drift: Drift, unit: float) -> Array:
