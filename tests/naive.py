@@ -472,18 +472,30 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     drv[130] = drv[130] + span if missing else 0.0
     if blind:
         sample[1:4] = drv[59:62]
+    before, C_before, nearest = drv[163:169].copy(), drv[169:178].reshape(3, 3).copy(), sample[1:7] - drv[163:169]
+    nearest[:3] = (nearest[:3] + np.pi) % (2 * np.pi) - np.pi
+    follow = np.where(started & (np.abs(nearest) <= 3.0 * drv[157:163]), 0.02, 1.0)
+    follow[:3], follow[3:] = follow[:3] * (not blind), follow[3:] * (not missing)
+    drv[163:169] += follow * np.nan_to_num(nearest)
+    drv[169:178] = euler(drv[163], drv[164], drv[165] + drv[43]).ravel()
     # what the readings' errors are thought to be, and how they follow from the drive's states
     E = Cr[:, :k].copy()
     if dev >= 0:
         y = sample[3]
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     if late_a >= 0 or late_v >= 0:
-        late = _change(drv, sample, missing, Cr, Qd)
+        shown, last = (drv, sample[0], missing, Cr, Qd), np.r_[drv[59:62], drv[74:77]]
+        late, seen = _change(68, sample[1:7] - last, *shown), _change(187, drv[163:169] - before, *shown)
+        drv[77], drv[74:77] = not missing, drv[74:77] if missing else sample[4:7]
     if late_a >= 0:
         E[:3, late_a] -= late[:3]
     if late_v >= 0:
         E[3:, late_v] -= late[3:]
     err = E @ xd
+    if late_a >= 0:
+        E[:3, late_a] += late[:3] - seen[:3]
+    if late_v >= 0:
+        E[3:, late_v] += late[3:] - seen[3:]
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw += drv[43]  # declination
     C = C0 if blind else euler(roll, pitch, yaw)
@@ -509,7 +521,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         u = C @ M @ y
         J[3:6, 3:6] = C @ M @ np.linalg.inv(D)
         if par >= 0:
-            E_par[:, par : par + 4 + 2 * int(drv[87])] = _by_scale_and_turn(scale, mis, y, drv[87])
+            seen = y + np.linalg.solve(D, drv[166:169] - sample[4:7])
+            E_par[:, par : par + 4 + 2 * int(drv[87])] = _by_scale_and_turn(scale, mis, seen, drv[87])
     for j in range(3):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
@@ -527,12 +540,18 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         F[3:6, 6:9] += by_turn
         F[:3, 6:9] += -half * skew(u) + skew(l1)
         F[6:9, 6:9] += np.eye(3)
+    if dev >= 0:
+        y = drv[165]
+        E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
     if lever >= 0:
-        here, held_turn = slice(9 + lever, 12 + lever), C @ C0.T @ turn0 if missing else np.zeros((3, 3))
-        F[3:6, here] += held_turn - per * (C - C0)
-        F[:3, here] += half * (held_turn + turn0) - started * (C - C0)
-        drv[78:87] = per * (C - C0).ravel()
+        seen0, turn1 = drv[178:187].reshape(3, 3), started * (drv[169:178].reshape(3, 3) - C_before)
+        here, held_turn = slice(9 + lever, 12 + lever), C @ C0.T @ seen0 if missing else np.zeros((3, 3))
+        square = 0.0 if blind else turned @ turned
+        told = square / (square + 100.0 * noise[:3].sum()) if square else 0.0
+        F[3:6, here] += held_turn - told * per * (C - C0)
+        F[:3, here] += half * (held_turn + seen0) - turn1
+        drv[78:87], drv[178:187] = per * (C - C0).ravel(), told * per * (C - C0).ravel()
     F[:3, :3] += span * _curvature(v0, nav[0], *nav[15:17])
     made = half * (v0 + w0 + u + current) - l1 + l0
     drv[127:129] += made[:2]
@@ -598,28 +617,23 @@ def _by_scale_and_turn(scale, mis, y, each):
     return np.column_stack([by_scale if each else by_scale.sum(axis=1), by_turn])
 
 
-def _change(drv, sample, missing, Cr, Qd):
-    span, near = sample[0], drv[13] != 0 and 0 < sample[0] <= 3 * drv[36]
+def _change(place, step, drv, span, missing, Cr, Qd):
+    near, rates = drv[13] != 0 and 0 < span <= 3 * drv[36], drv[place : place + 6]
     known = np.repeat([near, near and not missing and drv[77]], 3)
-    before = np.r_[drv[59:62], drv[74:77]]
-    step = sample[1:7] - before
     step[:3] = (step[:3] + np.pi) % (2 * np.pi) - np.pi
-    if not missing:
-        drv[74:77] = sample[4:7]
-    drv[77] = not missing
     if not near:
-        drv[68:74] = 0.0
+        rates[:] = 0.0
         return np.zeros(6)
     # of a difference of two readings, per second squared: their white noise, and what their slow errors wander by
     white, walk = 2.0 * Cr[:, -1] / span**2, np.diag(Cr[:, :-1] @ Qd @ Cr[:, :-1].T) / span**2
-    off = step / span - drv[68:74]
+    off = step / span - rates
     share = span / (span + np.where(off**2 > 25.0 * (white + walk), 0.1, 1.0))
-    drv[68:74] = np.where(known, drv[68:74] + share * off, 0.0)
+    rates[:] = np.where(known, rates + share * off, 0.0)
     # the same of their mean over a second
     steady = span / (span + 1.0)
     noise = steady / (2.0 - steady) * (steady * white + walk)
-    square = drv[68:74] ** 2
-    return drv[68:74] * np.divide(square, square + 9.0 * noise, out=np.zeros(6), where=square > 0.0)
+    square = rates**2
+    return rates * np.divide(square, square + 9.0 * noise, out=np.zeros(6), where=square > 0.0)
 
 
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
@@ -1681,10 +1695,13 @@ def sight(
         told, base = rate.copy(), np.zeros(len(res))
         if not clock:
             lately(rows, told)
-        ask(then, told, np.zeros(3), base)
+        steady = then.copy()
+        if not drv[strapdown_kernels.INERTIAL]:
+            steady[6:15] = drv[169:178]
+        ask(steady, told, np.zeros(3), base)
         near[:, 9 : 9 + own] = inner[:, 9:]
         for j in range(3):
-            ask(then, told, 1e-3 * np.eye(3)[j], ends)
+            ask(steady, told, 1e-3 * np.eye(3)[j], ends)
             near[:, 9 + own + j] = (base - ends) / 1e-3
     if clock and turns:
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.kernels import measurement, past
+from navfilter.kernels import measurement, past, strapdown
 from navfilter.kernels.past import STEP, WINDOW_S
 from navfilter.sensors import Sensor
 from navfilter.start import Start
@@ -111,10 +111,14 @@ class Sight:
             told, base = self._turn[:3].copy(), np.empty_like(res)
             if not self.clock:
                 past.lately(moved[0], told)
-            self.kernel(z, nav, told, kind, constants, inner, base)
+            steady, drv = nav.copy(), drive[0]
+            if not drv[strapdown.INERTIAL]:
+                # the attitude is a reading: what it errs by is in the position, too, see ``strapdown._steady``
+                steady[6:15] = drv[strapdown.STEADY_C : strapdown.STEADY_C + 9]
+            self.kernel(z, steady, told, kind, constants, inner, base)
             near[:, 9 : 9 + own] = inner[:, 9:]
             for i in range(3):
-                self.kernel(z, nav, told, kind, constants + self._steps[i], inner, ends)
+                self.kernel(z, steady, told, kind, constants + self._steps[i], inner, ends)
                 near[:, 9 + own + i] = (base - ends) / STEP
         if self.clock and self._turns:
             self.kernel(z, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)

@@ -32,7 +32,7 @@ STEP = 1e-3
 #: So much more of the past is kept than the clock may be off: half of what a slope is taken over [s].
 MORE_S = 0.5
 #: Elements of what `sight` works in, but for those whose number the sensor says.
-ROOM = 132
+ROOM = 149
 #: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
 #: long its readings wait [s]; from BY_ARM on what a lever arm does to its constants, row by row (constants, 3).
 ARM, CLOCK, TURNS, LEAD_S, BY_ARM = range(5)
@@ -405,7 +405,8 @@ def _sight(sources):
         own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
         kind, k, late_s = par[:own], len(xd), 0.0
         then, turn, gravity, errors = work[:17], work[17:23], work[23:24], work[24:30]
-        slope, B, told, work = shaped(work[30:48], 2, 9), shaped(work[48:129], 9, 9), work[129:132], work[ROOM:]
+        slope, B, told = shaped(work[30:48], 2, 9), shaped(work[48:129], 9, 9), work[129:132]
+        steady, work = work[132:149], work[ROOM:]
         constants, moved, work = work[: len(cfg)], work[len(cfg) : 2 * len(cfg)], work[2 * len(cfg) :]
         outputs, work = shaped(work[: 6 * k], 6, k), work[6 * k :]
         ends, base, work = work[:a], work[a : 2 * a], work[2 * a :]
@@ -447,7 +448,13 @@ def _sight(sources):
                 told[j] = turn[j]
             if not clock:
                 lately(rows, told)
-            addresses.at_equation(equation, (z, seen, told, kind, constants, inner, base))
+            if drv[strapdown.INERTIAL] == 0.0:
+                # the attitude is a reading: what it errs by is in the position, too, see `strapdown._steady`
+                for j in range(17):
+                    steady[j] = drv[strapdown.STEADY_C + j - 6] if 6 <= j < 15 else seen[j]
+            else:
+                steady = seen
+            addresses.at_equation(equation, (z, steady, told, kind, constants, inner, base))
             # what a mounting or a scale does with the arm's turning: the noise of the rate is in the residual, too
             for i in range(a):
                 for j in range(9, 9 + own):
@@ -455,7 +462,7 @@ def _sight(sources):
             for j in range(3):
                 for i in range(len(cfg)):
                     moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]
-                addresses.at_equation(equation, (z, seen, told, kind, moved, inner, ends))
+                addresses.at_equation(equation, (z, steady, told, kind, moved, inner, ends))
                 for i in range(a):
                     near[i, 9 + own + j] = (base[i] - ends[i]) / STEP
         if clock and facts[TURNS] != 0.0:

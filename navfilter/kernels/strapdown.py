@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (157,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (193,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -84,7 +84,15 @@ OWN = 142
 # Dead reckoning: how the vehicle goes on beyond the last sample, turning (3) [rad/s], and gaining velocity (3) [m/s^2],
 # in b, each followed by what it did between the last two readings (3); and by how much that was another before.
 TURNING, RATE, GAINING, TURN_CHANGE, SPEED_CHANGE = 143, 146, 149, 155, 156
-DRIVE_SIZE = 157
+# Dead reckoning: sd of the errors of its six readings, these as slopes by constants see them (6 each); their attitude
+# (9), how it turned, per second (9), and how fast the six change then (6).
+SPREAD, STEADY, STEADY_C, STEADY_TURN, STEADY_CHANGE = 157, 163, 169, 178, 187
+DRIVE_SIZE = 193
+# Slopes go to a new reading slowly, unless that is further off than so many sd of its errors [1].
+STEADY_SDS, FOLLOWED = 3.0, 0.02
+# The turn that moves an arm counts as far as it stands out of so many sd of its noise: by k of them it draws an arm by
+# 1 / k^2 of itself [1].
+TOLD_TURN = 10.0
 # What changes is a mean over the longer of these [s], for readings are noisy, and over the shorter where it is off by
 # so many sd of the noise of a difference. A change counts as far as it stands out of so many sd of its own noise, which
 # is in the state's velocity, too: by it depths drew the clock of a velocity that scatters by 1 cm/s to one side, by one
@@ -1002,56 +1010,90 @@ def _turn_arm(F, l0, per):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
-    """What an error of the lever arm does to velocity and position of a step, and in drv the turn for the next one.
+def _steady(drv, samples, n, blind, missing):
+    """Have the readings by which slopes are made follow those of a sample, see `measurement.hold_slopes`.
 
-    A velocity that is missing was that of the last step, which its turn had moved by the arm (B turns it on).
+    What a reading errs by is in the state, too: in velocity and heading, and by these in the position. Were it in the
+    slope by a constant as well, each fix that shows it would tell the constant, always to the same side: errors in
+    variables (Fuller, 1987, sec. 1.1). A lever arm was drawn to nothing by a heading that errs, for arms of nothing
+    would not turn. So slopes are those of a reading that stays where it is for as long as errors may be all that
+    changes.
     """
-    for j in range(3):
-        for i in range(3):
-            before = 0.0
-            if missing:
-                for r in range(3):
-                    before += B[i, r] * drv[ARM_TURN + 3 * r + j]
-            turned = C[i, j] - nav[6 + 3 * i + j]
-            F[3 + i, 9 + arm + j] += before - per * turned
-            F[i, 9 + arm + j] += half * (before + drv[ARM_TURN + 3 * i + j]) - (turned if drv[STARTED] != 0.0 else 0.0)
-    for i in range(3):
-        for j in range(3):
-            drv[ARM_TURN + 3 * i + j] = per * (C[i, j] - nav[6 + 3 * i + j])
+    for i in range(6):
+        if blind if i < 3 else missing:
+            continue
+        step = samples[n, 1 + i] - drv[STEADY + i]
+        if i < 3:
+            step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
+        near = drv[STARTED] != 0.0 and abs(step) <= STEADY_SDS * drv[SPREAD + i]
+        drv[STEADY + i] += FOLLOWED * step if near else step
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _change(drv, samples, n, missing, Cr, wander, late):
-    """How fast the readings change [unit/s], in drv: the difference from the last ones, a little smoothed; 0 over gaps
-    and while the velocity is lost. late (6,): as far as that stands out of what the noise of the readings changes by,
-    which is white (last column of Cr) and wanders by so much from one to the next, wander (6,).
+def _steady_attitude(drv):
+    """The attitude that slopes see, into drv; how it has turned is there before."""
+    roll, pitch, psi = drv[STEADY], drv[STEADY + 1], drv[STEADY + 2] + drv[DECLINATION]
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(psi), math.sin(psi)
+    at = STEADY_C
+    drv[at], drv[at + 1], drv[at + 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+    drv[at + 3], drv[at + 4], drv[at + 5] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+    drv[at + 6], drv[at + 7], drv[at + 8] = -sp, sr * cp, cr * cp
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _arm_columns(F, drv, nav, C, B, missing, per, half, arm, told, turn):
+    """What an error of the lever arm does to velocity and position of a step, and in drv the turn for the next one.
+
+    The position has moved as the attitude that slopes see has turned, see `_steady`; the velocity, of which no sum is
+    taken, turns as it is read, by the share `told` that stands out of the noise. turn (9,): work.
+
+    A velocity that is missing was that of the last step, which its turn had moved by the arm (B turns it on).
     """
-    span = samples[n, 0]
+    for i in range(9):
+        turn[i] = drv[STEADY_C + i]
+    _steady_attitude(drv)
+    for j in range(3):
+        for i in range(3):
+            before, turned = 0.0, told * per * (C[i, j] - nav[6 + 3 * i + j])
+            if missing:
+                for r in range(3):
+                    before += B[i, r] * drv[STEADY_TURN + 3 * r + j]
+            F[3 + i, 9 + arm + j] += before - turned
+            F[i, 9 + arm + j] += half * (before + drv[STEADY_TURN + 3 * i + j])
+            F[i, 9 + arm + j] -= drv[STEADY_C + 3 * i + j] - turn[3 * i + j] if drv[STARTED] != 0.0 else 0.0
+    for i in range(3):
+        for j in range(3):
+            drv[ARM_TURN + 3 * i + j] = per * (C[i, j] - nav[6 + 3 * i + j])
+            drv[STEADY_TURN + 3 * i + j] = told * drv[ARM_TURN + 3 * i + j]
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _change(drv, place, now, before, span, missing, Cr, wander, late):
+    """How fast readings (6,) change [unit/s], in drv at `place`: the difference from those before, a little smoothed; 0
+    over gaps and while the velocity is lost. late (6,): as far as that stands out of what the noise of the readings
+    changes by, which is white (last column of Cr) and wanders by so much from one to the next, wander (6,).
+    """
     near = drv[STARTED] != 0.0 and 0.0 < span <= GAP_PERIODS * drv[PERIOD_S]
     for i in range(6):
+        step = now[i] - before[i]
         if i < 3:
-            step = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
             step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
             known = near
         else:
-            step = samples[n, 1 + i] - drv[PREVIOUS_VELOCITY + i - 3]
             known = near and not missing and drv[KNOWN_VELOCITY] != 0.0
-            if not missing:
-                drv[PREVIOUS_VELOCITY + i - 3] = samples[n, 1 + i]
         late[i] = 0.0
         if not known:
-            drv[CHANGE + i] = 0.0
+            drv[place + i] = 0.0
             continue
         white, walk = 2.0 * Cr[i, Cr.shape[1] - 1] / (span * span), wander[i] / (span * span)
-        step = step / span - drv[CHANGE + i]
+        step = step / span - drv[place + i]
         share = span / (span + (CHANGE_S if step * step > SUDDEN**2 * (white + walk) else STEADY_S))
-        drv[CHANGE + i] += share * step
+        drv[place + i] += share * step
         share = span / (span + STEADY_S)
         noise = TOLD_CHANGE**2 * share / (2.0 - share) * (share * white + walk)
-        square = drv[CHANGE + i] ** 2
-        late[i] = drv[CHANGE + i] * square / (square + noise) if square > 0.0 else 0.0
-    drv[KNOWN_VELOCITY] = 0.0 if missing else 1.0
+        square = drv[place + i] ** 2
+        late[i] = drv[place + i] * square / (square + noise) if square > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -1196,8 +1238,12 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
-    B, gained, angles, err, late, wander, v, u, w, l0, l1 = (
+    B, moved, last, seen, turn, gained, angles, err, late, wander, v, u, w, l0, l1 = (
         np.empty((3, 3)),
+        np.empty(6),
+        np.empty(6),
+        np.empty(6),
+        np.empty(9),
         np.empty(3),
         np.empty(3),
         np.empty(6),
@@ -1257,8 +1303,17 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         elif missing:
             for i in range(3):
                 drv[GAINING + i] = 0.0
+        for i in range(6):
+            moved[i] = drv[STEADY + i]
+        _steady(drv, samples, n, blind, missing)
         if late_a >= 0 or late_v >= 0:
-            _change(drv, samples, n, missing, Cr, wander, late)
+            for i in range(3):
+                last[i], last[3 + i] = drv[PREVIOUS_RPY + i], drv[PREVIOUS_VELOCITY + i]
+            _change(drv, CHANGE, samples[n, 1:7], last, span, missing, Cr, wander, late)
+            _change(drv, STEADY_CHANGE, drv[STEADY : STEADY + 6], moved, span, missing, Cr, wander, seen)
+            for i in range(0 if missing else 3):
+                drv[PREVIOUS_VELOCITY + i] = samples[n, 4 + i]
+            drv[KNOWN_VELOCITY] = 0.0 if missing else 1.0
         for i in range(3):
             if late_a >= 0:
                 err[i] -= xd[late_a] * late[i]
@@ -1298,6 +1353,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 row = ARM_TURN + 3 * i
                 drv[LEVER_VELOCITY + i] = drv[row] * e0 + drv[row + 1] * e1 + drv[row + 2] * e2
+        told = 0.0
         if blind:
             for i in range(3):
                 drv[TURNING + i] = 0.0
@@ -1310,6 +1366,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 noise += 2.0 * Cr[i, k] + wander[i]
             _evenly(drv, TURNING, TURN_CHANGE, w, per * per * noise)
+            told = turned / (turned + TOLD_TURN**2 * noise) if turned > 0.0 else 0.0
         for i in range(3):
             l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
             l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
@@ -1390,6 +1447,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 for a in range(6):
                     F[i, 9 + s] -= J[i, a] * Cr[a, s]
         if dev >= 0:
+            s1, c1 = math.sin(drv[STEADY + 2]), math.cos(drv[STEADY + 2])
+            s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
             for i in range(9):
                 F[i, 9 + dev] -= J[i, 2] * s1
                 F[i, 10 + dev] -= J[i, 2] * c1
@@ -1398,11 +1457,13 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(9):
             for a in range(3):
                 if late_a >= 0:
-                    F[i, 9 + late_a] += J[i, a] * late[a]
+                    F[i, 9 + late_a] += J[i, a] * seen[a]
                 if late_v >= 0:
-                    F[i, 9 + late_v] += J[i, 3 + a] * late[3 + a]
+                    F[i, 9 + late_v] += J[i, 3 + a] * seen[3 + a]
         if arm >= 0:
-            _arm_columns(F, drv, nav, C, B, missing, per, half, arm)
+            _arm_columns(F, drv, nav, C, B, missing, per, half, arm, told, turn)
+        else:
+            _steady_attitude(drv)
         if flow >= 0:
             for i in range(3):
                 for j in range(2):
@@ -1410,7 +1471,12 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                     F[3 + i, 9 + flow + j] += a
                     F[i, 9 + flow + j] += half * a
         if par >= 0 and not missing:
-            # reading = (1 + s) R(m) y: y is the true velocity in instrument axes
+            # reading = (1 + s) R(m) y: y is the true velocity in instrument axes, and slopes see it steadily
+            for i in range(3):
+                off = drv[STEADY + 3 + i] - samples[n, 4 + i]
+                through0 += J[3, 3 + i] * off
+                through1 += J[4, 3 + i] * off
+                through2 += J[5, 3 + i] * off
             for i in range(3):
                 err[i] = 0.0
                 for j in range(3):

@@ -171,6 +171,13 @@ class DeadReckoning(Mechanisation):
         """The current, where the velocity is that through the water."""
         return {f"velocity.{name}": model for name, model in self.velocity_sensor.wandering().items()}
 
+    def _spread(self) -> Array:
+        """Standard deviations of what the six readings err by, a constant bias of the heading left out."""
+        yaw = self.compass.models[0] if self.compass else self.models[2]
+        models = (*self.models[:2], yaw, *self.models[3:])
+        blocks = [model.block(self.period_s) for model in models]
+        return np.sqrt([block.C @ block.P0 @ block.C + block.r for block in blocks])
+
     def _attitude_clock(self) -> tuple[Parameter, ...]:
         sd = self.compass.time_offset_sd_s if self.compass else 0.0
         return (Parameter("attitude.time_offset", sd, "s"),) if sd else ()
@@ -189,6 +196,7 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
         if start is not None:
             drv[strapdown.DECLINATION] = self.declination(start)
+        drv[strapdown.SPREAD : strapdown.SPREAD + 6] = self._spread()
         drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
         drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv
