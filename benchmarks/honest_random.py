@@ -116,7 +116,8 @@ def constants(track: nf.Track, mission: nf.Mission) -> float:
     for name, value in drawn(mission).items():
         if name in track.state_names:
             i = track.state_names.index(name)
-            square.append(((track.states[-1, i] - value) / track.states_sd[-1, i]) ** 2)
+            sd = track.states_sd[-1, i]
+            square += [((track.states[-1, i] - value) / sd) ** 2] if sd > 0.0 else []  # one of several may be known
     return float(np.mean(square)) if square else math.nan
 
 
