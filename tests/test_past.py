@@ -42,6 +42,7 @@ def steady(rng, elements=()):
     k = 6 + len(elements)
     drv, xd, _, _, Cr, _ = uncalibrated_drive(rng, 6, elements)
     drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = felt = [0.1, -0.05, 0.3, 0.2, -0.1, -9.7]
+    drv[strapdown.INERTIAL] = 1.0
     drv[strapdown.CALIBRATION + np.array(elements, dtype=int)] = xd[6:]
     recent = np.column_stack([np.full(300, 0.01), np.tile(felt, (300, 1))])
     return drv, recent, Cr, xd[:k]
@@ -79,8 +80,9 @@ def test_reckoned_motion(known):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("inertial", [True, False])
 @pytest.mark.parametrize(("clock", "variance"), [(0.0, 0.0), (0.4, 0.16), (0.4, 1e-4)])
-def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance):
+def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, inertial):
     rng = np.random.default_rng(3)
     sensor, sight, head = looked(KINDS[kind][0], clock)
     if not (clock or any(sensor.lever_arm_sd_m)):
@@ -88,6 +90,8 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance):
     drv, recent, Cr, xd = steady(rng, (0, 4, 7, 9, 13, 17))
     recent[:, 1:] += 0.1 * rng.normal(size=(300, 6))
     recent[0, 1:] = drv[:6]
+    drv[strapdown.INERTIAL] = inertial
+    drv[strapdown.STEADY_C : strapdown.STEADY_C + 9] = matrix_from_euler(0.1, -0.2, 0.7).ravel()
     nav, par = random_nav(rng), 0.05 * rng.normal(size=len(sensor.all_parameters()))
     a, z = sensor.axes, np.array(KINDS[kind][1])
     into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)

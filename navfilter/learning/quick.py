@@ -34,7 +34,7 @@ EXCEEDED = 1.5
 #: by up to 2.6 [1].
 HIDDEN, HIDDEN_BY = 4.0, 3.0
 #: By so much less likely must readings be where they are as described, for them to contradict it [nat]: twenty to one.
-WORSE = 3.0
+DENIED = 3.0
 #: That there is a slow error beside what was described, and was not [probability].
 UNLIKELY = 0.05
 #: Of its power, at each of these frequencies [1].
@@ -99,7 +99,7 @@ class QuickDescription:
         if model is None:
             return True
         theta = np.concatenate([model.ar, model.ma, [math.log(model.sd) + likelihood.log_unit]])
-        return likelihood.value(theta, model.ar.size) > score + WORSE
+        return likelihood.value(theta, model.ar.size) > score + DENIED
 
     def holds(self, fast: ArmaModel) -> bool:
         """Whether a fast part that was found has nowhere much more power than was described, as far as it is slower
