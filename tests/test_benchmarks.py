@@ -31,6 +31,7 @@ SCRIPTS = {
     "honest_constants": ("no other software", ()),
     "honest_kinds": ("no other software", ()),
     "honest_random": ("no other software", ()),
+    "honest_wrong": ("no other software", ()),
     "identify_recordings": ("statsmodels", ()),
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),

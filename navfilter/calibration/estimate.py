@@ -13,7 +13,7 @@ from navfilter.mission import Mission
 from navfilter.playback import at_the_end
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Estimate", "estimate"]
+__all__ = ["Estimate", "estimate", "said"]
 
 Array = NDArray[np.float64]
 #: The constants have settled when a step moves none of them by more than this share of its standard deviation.
@@ -121,7 +121,7 @@ def estimate(
         for mission in missions:
             if report is not None:
                 report(done)
-            more = _said(at, mission, constants, value, s)
+            more = said(at, mission, constants, value, s)
             J, i, done = J + weight * more[0], i + weight * more[1], done + 1
         before, covariance = value, _inverse(J)
         value, sd = covariance @ i, np.sqrt(np.diag(covariance))
@@ -134,10 +134,25 @@ def _moved(constants: Sequence[Constant], value: Array, sd: Array) -> list[Const
     return [one._replace(value=float(v), sd=float(s)) for one, v, s in zip(constants, value, sd, strict=True)]
 
 
-def _said(
+def said(
     vehicle: Vehicle, mission: Mission, constants: Sequence[Constant], value: Array, s: Array
 ) -> tuple[Array, Array]:
-    """Information of one mission on the constants, and that times their value."""
+    """Information of one mission on the constants, and that times their value.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        That begins with these constants at `value`, with the standard deviations `s`.
+    mission : Mission
+    constants : sequence of Constant
+        All of the vehicle.
+    value, s : ndarray, shape (k,)
+
+    Returns
+    -------
+    information : ndarray, shape (k, k)
+    vector : ndarray, shape (k,)
+    """
     nav = at_the_end(vehicle, mission)
     layout = nav.filter.layout
     at = np.array([layout.names.index(one.name) for one in constants])

@@ -16,7 +16,7 @@ from navfilter.sensors import Sensor
 from navfilter.state import euler_from_matrix, matrix_from_euler, rotation_matrix
 from navfilter.vehicle import Vehicle
 
-__all__ = ["KINDS", "Constant", "closed", "constants_of", "described", "opened"]
+__all__ = ["KINDS", "Constant", "closed", "constants_of", "described", "kind_of", "opened"]
 
 Array = NDArray[np.float64]
 #: What a constant is unsure by where the vehicle says nothing: keys of a sensor's class and their values, by kind.
@@ -89,11 +89,17 @@ def constants_of(vehicle: Vehicle, each: Collection[str] = ()) -> tuple[Constant
             if p.sd:
                 place = ("sensors", name), sensor, p.name
                 found.append(_constant(p._replace(name=f"{name}.{p.name}"), *place))
-    return tuple(one for one in found if one.name not in each and _kind(one.own) not in each)
+    return tuple(one for one in found if one.name not in each and kind_of(one.own) not in each)
 
 
-def _kind(own: str) -> str:
-    """The kind of a constant, of `KINDS`; its own name for one of none."""
+def kind_of(own: str) -> str:
+    """The kind of a constant, of `KINDS`; its own name for one of none.
+
+    Parameters
+    ----------
+    own : str
+        Its name within its part.
+    """
     return next((kind for kind, keys in KINDS.items() for key in keys if own.startswith(_MADE_BY[key])), own)
 
 

@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from scipy.special import ndtr, ndtri
+
 from navfilter.check.amounts import amount
-from navfilter.check.finding import Finding
+from navfilter.check.finding import Finding, Severity
 from navfilter.filter.layout import Parameter, constant_parameters
 from navfilter.track import Track
 
@@ -73,12 +75,15 @@ def constant_doubts(run: Track, far: float, untold: float) -> Iterator[Finding]:
         A mission that leaves more of that standard deviation than this share has not told the constant.
     """
     found = constants(run)
+    # of twenty, chance takes one so far in one mission of four: what it does with so many is a remark
+    by_chance = float(-ndtri(ndtr(-far) / max(len(found), 1)))
     for one in found:
         if abs(one.value - one.given) > far * one.given_sd:
             off = f"{amount(one.value, one.unit)} (sd {amount(one.sd, one.unit)})"
             far_off = f"{abs(one.value - one.given) / one.given_sd:.1f} sd from what vehicle.toml says"
             name = one.name.removeprefix(f"{one.owner}.")
-            yield Finding("warning", one.owner, f"{name} is {off}, {far_off}.", _cure(one, run.vehicle))
+            grade: Severity = "warning" if abs(one.value - one.given) > by_chance * one.given_sd else "info"
+            yield Finding(grade, one.owner, f"{name} is {off}, {far_off}.", _cure(one, run.vehicle))
     names = [f"{one.name} (sd {amount(one.sd, one.unit)})" for one in found if one.sd > untold * one.given_sd]
     if names:
         text = f"this mission hardly tells {', '.join(names)}: known no better than vehicle.toml says."

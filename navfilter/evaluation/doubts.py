@@ -13,6 +13,7 @@ from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
 from navfilter.evaluation.constants import constant_doubts
 from navfilter.evaluation.correlations import correlation_doubts
+from navfilter.evaluation.left_out import left_out_doubts
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.drive_watch import COUNTED
 from navfilter.filter.offsets import has_offset
@@ -106,11 +107,13 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
         for finding in doubts(replace(run, vehicle=vehicle), mission, evidence, limits):
             yield replace(finding, stream=unit) if finding.stream == "imu" else finding
         return
+    told = list(left_out_doubts(run, mission))  # first: the others say what comes of it
+    yield from told
     yield from _state(run, limits)
     yield from _drive(run, mission, limits)
     for name, sensor in run.vehicle.sensors.items():
         if not sensor.from_drive:
-            yield from _sensor(name, run, mission, limits)
+            yield from _sensor(name, run, mission, limits, explained=bool(told))
     yield from _surfaced(evidence, limits)
     yield from constant_doubts(run, limits.far, limits.untold)
     yield from _mended(run)
@@ -224,8 +227,8 @@ def _given_up(run: Track) -> Iterator[Finding]:
 # --- sensors --------------------------------------------------------------------------------------------------------
 
 
-def _sensor(name: str, run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
-    """What became of the readings of one sensor."""
+def _sensor(name: str, run: Track, mission: Mission, limits: Limits, explained: bool) -> Iterator[Finding]:
+    """What became of the readings of one sensor; with what is left out, and has been said, none scatters too much."""
     clock = _clock(name, run, mission, limits)
     if clock is not None:
         yield clock
@@ -242,7 +245,7 @@ def _sensor(name: str, run: Track, mission: Mission, limits: Limits) -> Iterator
     yield from _jumped(name, run)
     yield from _lost(name, r, limits)
     yield from _refused(name, run, r, limits)
-    yield from _honesty(name, run, r, limits)
+    yield from _honesty(name, run, r, limits, explained)
 
 
 def _jumped(name: str, run: Track) -> Iterator[Finding]:
@@ -275,7 +278,7 @@ def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Fi
         yield Finding("warning", name, widened.strip(), cure)
 
 
-def _honesty(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Finding]:
+def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: bool) -> Iterator[Finding]:
     """Readings that scatter otherwise than vehicle.toml believes."""
     if r.count("used") < limits.least:
         return
@@ -283,10 +286,13 @@ def _honesty(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Fi
     learn = ' error = {model = "learned-arma"}, or' if run.vehicle.sensors[name].open_loop else ""
     cure = f"In vehicle.toml, give {name}{learn} another sd."
     if nis > limits.nis[0]:
-        text = (
-            f"its mean NIS is {nis:.1f} where 1 is honest: the filter believes it {math.sqrt(nis):.1f} times too well."
+        text = f"its mean NIS is {nis:.1f} where 1 is honest: "
+        text += (
+            "not with that which is left out."
+            if explained
+            else f"the filter believes it {math.sqrt(nis):.1f} times too well."
         )
-        yield Finding(_grade(nis, limits.nis), name, text, cure)
+        yield Finding(_grade(nis, limits.nis), name, text, "Describe first what is left out." if explained else cure)
     elif nis < limits.modest:
         times = 1.0 / math.sqrt(max(nis, 1e-12))
         text = (
