@@ -17,7 +17,7 @@ from navfilter.learning.alike import alike
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.learner_memory import LearnerMemory, Order
-from navfilter.learning.learnt import Learnt, learnt_from
+from navfilter.learning.learnt import Learnt, fast_model, learnt_from
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.learning.posterior import DEAD, SlowPosterior, denied, follow
@@ -206,7 +206,9 @@ class Learner:
         point, tried = self._smooth(likelihood, fits, scores, best, n)
         posterior = prior = None
         if self.prior is not None:
-            prior = self.prior.beside(learnt_from(likelihood, point, None, n).model.variance)
+            prior = self.prior
+            if prior.is_hidden:
+                prior = prior.beside(fast_model(likelihood, point, n).variance)
             forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
             posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting, prior)
             if first > 0 and self._contradicted(likelihood, point, posterior):
@@ -220,7 +222,7 @@ class Learner:
         if plain is None or self.quick is None or (look := plain.look(series, fresh)) is None:
             return None
         denied = self.quick.is_denied(look.likelihood, plain._score(look.point, look.n))
-        if denied and not self.quick.holds(learnt_from(look.likelihood, look.point, None, look.n).model):
+        if denied and not self.quick.holds(fast_model(look.likelihood, look.point, look.n)):
             self._memory = replace(self._memory, plain=None, contradicted=True)
             return None
         self._memory, doubt = replace(self._memory, plain=plain.memory), plain.doubts(look)

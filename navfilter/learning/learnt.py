@@ -15,7 +15,7 @@ from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.posterior import SlowPosterior, slow_psd
 from navfilter.learning.spectrum import Spectrum, log_spread
 
-__all__ = ["Learnt", "learnt_from"]
+__all__ = ["Learnt", "fast_model", "learnt_from"]
 
 Array = NDArray[np.float64]
 
@@ -41,18 +41,16 @@ class Learnt(NamedTuple):
     spectrum: Spectrum
 
 
+def fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
+    """The fast part of a point, in the unit of the series."""
+    p, fast = point.p, likelihood.fast(point.theta, point.slow)
+    covariance = point.covariance[: fast.size - 1, : fast.size - 1]
+    return ArmaModel(fast[:p], fast[p:-1], math.exp(fast[-1]) / likelihood.unit, covariance, None, float(n))
+
+
 def learnt_from(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> Learnt:
     """What a hop hands out, in the unit of the series."""
-    p, fast = point.p, likelihood.fast(point.theta, point.slow)
-    covariance = point.covariance
-    model = ArmaModel(
-        fast[:p],
-        fast[p:-1],
-        math.exp(fast[-1]) / likelihood.unit,
-        covariance[: fast.size - 1, : fast.size - 1],
-        None,
-        float(n),
-    )
+    model, fast = fast_model(likelihood, point, n), likelihood.fast(point.theta, point.slow)
     k = fast.size
     given_slow = np.asarray(np.linalg.inv(point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
     spectrum = _spectrum(model, given_slow, posterior, likelihood.drift.period_s, n)

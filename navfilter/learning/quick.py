@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.spectral import spectral_factor
-from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, block_level
+from navfilter.error_models import Block, ErrorModel, block_level
 from navfilter.learning.likelihood import Likelihood
-from navfilter.learning.slow import SLOWER, slow_prior
+from navfilter.learning.slow import SLOWER, described_blocks, slow_prior
 from navfilter.learning.unseen import WhiteDescription
 
 __all__ = ["QuickDescription", "quick_description"]
@@ -144,8 +144,7 @@ def quick_description(model: ErrorModel, period_s: float, span_s: float, kind: E
     kind : ErrorModel
         Usual error of the sensor's kind.
     """
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    blocks = tuple(part.block(period_s) for part in parts if not isinstance(part, RandomWalk))
+    blocks = described_blocks(model, period_s)
     # of a Gauss-Markov process S(0) is twice variance times correlation time
     sizes = [(float(b.C @ b.P0 @ b.C), 0.5 * (block_level(b) - b.r) * period_s) for b in blocks if b.size]
     if not sizes or any(SLOWER * power >= QUICK * variance * span_s / 50.0 for variance, power in sizes):

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import CORRELATION_CONSTANTS, ErrorModel, RandomWalk, Sum, block_level
+from navfilter.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, Sum, block_level
 from navfilter.learning.drift import Drift
 
-__all__ = ["SlowNode", "SlowPrior", "drift_chain", "slow_belief", "slow_prior"]
+__all__ = ["SlowNode", "SlowPrior", "described_blocks", "drift_chain", "slow_belief", "slow_prior"]
 
 Array = NDArray[np.float64]
 
@@ -114,11 +114,9 @@ class SlowPrior:
         return math.log(self.median * self.sd), math.log(self.tau_s)
 
     def beside(self, variance: float) -> SlowPrior:
-        """What is believed of one that is hidden where the fast part has this variance [unit^2]: what was described of
-        the whole and is not there is where readings cannot tell.
+        """What is believed of one that `is_hidden` where the fast part has this variance [unit^2]: what was described
+        of the whole and is not there is where readings cannot tell.
         """
-        if not self.is_hidden:
-            return self
         rest = 1.0 + (self.white - variance) / self.sd**2
         return replace(self, median=math.sqrt(min(max(rest, self.median**2), 1.0)))
 
@@ -131,6 +129,12 @@ class SlowPrior:
         """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""
         centre, centre_tau = self.centre
         return (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
+
+
+def described_blocks(model: ErrorModel, period_s: float) -> tuple[Block, ...]:
+    """The parts of an error model of the vehicle file, per sample; random walks in it are the drift's."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    return tuple(part.block(period_s) for part in parts if not isinstance(part, RandomWalk))
 
 
 def slow_prior(model: ErrorModel, period_s: float, span_s: float, is_hidden: bool = False) -> SlowPrior | None:
@@ -147,8 +151,7 @@ def slow_prior(model: ErrorModel, period_s: float, span_s: float, is_hidden: boo
     is_hidden : bool
         Readings tell little of slow errors.
     """
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    blocks = [part.block(period_s) for part in parts if not isinstance(part, RandomWalk)]
+    blocks = described_blocks(model, period_s)
     variance = sum(float(block.C @ block.P0 @ block.C) for block in blocks)
     if not variance > 0.0:
         return None
