@@ -26,7 +26,18 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["Course", "against_the_compass", "led_astray", "seen_turned", "told_by_fixes", "told_here", "turned", "used"]
+__all__ = [
+    "Course",
+    "against_the_compass",
+    "direction",
+    "led_astray",
+    "of_one_way",
+    "seen_turned",
+    "told_by_fixes",
+    "told_here",
+    "turned",
+    "used",
+]
 
 Array = NDArray[np.float64]
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
@@ -77,6 +88,12 @@ class Course:
         new = np.array(self.sums) + np.concatenate([row, np.outer(row, row).ravel()])
         return Course(self.latitude, self.longitude, self.began_s, self.count + 1, tuple(new.tolist()))
 
+    def drawn_m_s(self) -> float:
+        """Speed at which the fixes go away from the way reckoned, by the straight line through that [m/s]."""
+        sums = np.array(self.sums) / self.count
+        S = sums[5:].reshape(5, 5) - np.outer(sums[:5], sums[:5])
+        return math.hypot(S[4, 2], S[4, 3]) / max(float(S[4, 4]), 1e-300)
+
     def fitted(self) -> tuple[float, float, float, float, float]:
         """Angle by which the way of the fixes is turned against the one reckoned [rad], mean square of the latter about
         its middle [m^2], ratio of their sizes, mean square distances of the fixes from the way turned by that angle,
@@ -114,7 +131,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     compass = compasses[0]
     told = math.radians(filter.start.heading_sd_deg)
     believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
-    turn = seen_turned(course, fixes, _direction(filter), believed)
+    turn = seen_turned(course, fixes, direction(filter), believed)
     if turn is None:
         return None
     models = compass.sensor.models
@@ -124,7 +141,12 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
 
 
 def seen_turned(
-    course: Course, fixes: Channel, heading: float, believed: Callable[[float, float], bool]
+    course: Course,
+    fixes: Channel,
+    direction: float,
+    believed: Callable[[float, float], bool],
+    share: float = 0.0,
+    heading: float = 0.0,
 ) -> tuple[float, float] | None:
     """By what angle fixes have made the way reckoned, turned, and its variance [rad, rad^2]; None where they have not,
     or as well may be drawn off by a constant velocity.
@@ -134,11 +156,15 @@ def seen_turned(
     course : Course
     fixes : Channel
         The channel that refuses them.
-    heading : float
-        Variance of the heading reckoned with [rad^2].
+    direction : float
+        Variance of the direction of the way reckoned, which is left beside the angle [rad^2].
     believed : callable
         Whether a heading that is off by this angle [rad], and a speed by so many standard deviations, are believed
         rather than fixes that are drawn off.
+    share : float
+        Variance of what the way reckoned errs by beside a turn of the whole, as a share of its square [1].
+    heading : float
+        Variance of a constant of the compass, which is part of the angle [rad^2].
     """
     if course.count < 3:
         return None
@@ -147,13 +173,24 @@ def seen_turned(
     # what wanders over the time of the fixes tilts a straight way by its difference between the ends: sqrt(2) of its sd
     # over sqrt(12) of the root mean square distance from the middle
     variance = noise / (6.0 * max(size, 1e-300))
-    sd = math.sqrt(variance + heading)
-    if sd > KNOWN_RAD or abs(angle) < SURE * sd or abs(ratio - 1.0) > SURE * math.sqrt(variance) + SCALE:
+    sd, faster = math.sqrt(variance + direction), math.sqrt(variance + share)
+    chance = math.sqrt(variance + direction + heading)
+    if sd > KNOWN_RAD or abs(angle) < SURE * chance or abs(ratio - 1.0) > SURE * faster + SCALE:
         return None
-    speed = max(0.0, abs(ratio - 1.0) - SCALE) / math.sqrt(variance)
+    speed, noise = max(0.0, abs(ratio - 1.0) - SCALE) / faster, noise + share * size
     if beside_turned > FITS**2 * noise or (believed(angle, speed) and beside_drawn < MISSES**2 * noise):
         return None
-    return angle, variance + heading
+    return angle, variance + direction
+
+
+def of_one_way(course: Course, fixes: Channel, share: float) -> bool:
+    """Whether fixes may have made the way reckoned, turned by one angle or drawn off at one velocity: else what is
+    wrong has become another meanwhile, as that of a compass which follows no turn does. `share` as in `seen_turned`.
+    """
+    if course.count < 3:
+        return True
+    _, size, _, *beside = course.fitted()
+    return min(beside) < MISSES**2 * (_noise(fixes) + share * size)
 
 
 def _reckons(channel: Channel) -> bool:
@@ -162,7 +199,7 @@ def _reckons(channel: Channel) -> bool:
     return sensor.corrects == "velocity" and (sensor.ground > 0 or sensor.open_loop == listen.VELOCITY)
 
 
-def _direction(filter: Filter) -> float:
+def direction(filter: Filter) -> float:
     """Variance of the direction that the vehicle is believed to go in [rad^2]: that of its heading, and of the velocity
     across its way where the heading is right, as in a current that is hardly known.
     """

@@ -16,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
-from navfilter.filter.course import Course, seen_turned
+from navfilter.filter.course import Course, direction, of_one_way, seen_turned
 from navfilter.filter.offsets import has_offset, offset_states, with_offsets
 from navfilter.kernels import strapdown
+from navfilter.sensors.velocity import FLOWS_M_S
 
 if TYPE_CHECKING:
     from navfilter.error_models import ErrorModel
     from navfilter.filter.channel import Channel
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
+    from navfilter.filter.filter_memory import FilterMemory
 
 __all__ = ["Reckoned", "believed", "contradicted", "opened_velocity", "take_up"]
 
@@ -38,6 +40,8 @@ DRAWN_RAD = math.radians(15.0)
 SAME_SPEED = 2.0
 #: A velocity sensor has been used so lately at most [s].
 RECENT_S = 5.0
+#: A speed below this tells no share of it [m/s].
+SLOW = 0.1
 #: Of the drive's three angles.
 YAW = 2
 
@@ -81,27 +85,45 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     memory, kept = filter.memory, fixes.memory
     if filter.inertial or not np.isfinite(fixes.res[:2]).all():
         return None
-    nav, way = memory.nav, memory.drv[strapdown.WAY : strapdown.WAY + 2]
+    nav, since_s = memory.nav, memory.time_s - memory.sample_s
+    way = memory.drv[strapdown.WAY : strapdown.WAY + 2] + since_s * nav[3:5]
     latitude = float(nav[0] + fixes.res[0] / nav[15])
     longitude = float(nav[1] + fixes.res[1] / (nav[16] * math.cos(nav[0])))
     before = kept.reckoned
     if before is None or time_s - before.last_s > APART_S:
-        before = Reckoned(Course(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s)
+        before = _from_here(latitude, longitude, way, time_s)
     made = way - (before.north, before.east)
     fixed = np.array([(latitude - before.latitude) * nav[15], 0.0])
     fixed[1] = (longitude - before.longitude) * nav[16] * math.cos(before.latitude)
     course = before.course.plus(time_s, made, fixed - made)
     kept.reckoned = Reckoned(course, *_begin(before), time_s)
-    # what draws a way through water off is its current
-    drawn = (lambda angle, speed: True) if filter.in_force.drive.wandering() else believed
-    turn = seen_turned(course, fixes, float(memory.P[8, 8]), drawn)
+    # what draws a way through water off is its current, as far as water flows
+    water = bool(filter.in_force.drive.wandering()) and course.drawn_m_s() < FLOWS_M_S
+    drawn = (lambda angle, speed: True) if water else believed
+    wanders, constant = float(memory.drv[strapdown.SPREAD + YAW]) ** 2, float(memory.P[8, 8])
+    share = _faster(memory) + wanders
+    beside = max(0.0, direction(filter) - constant) + wanders
+    turn = seen_turned(course, fixes, beside, drawn, share, constant)
     if turn is None:
+        if not of_one_way(course, fixes, share):
+            kept.reckoned = _from_here(latitude, longitude, way, time_s)
         return None
     kept.reckoned = None
     memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
     memory.counts["reset"] += 1
     memory.counts["jumped"] += 1
     return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
+
+
+def _from_here(latitude: float, longitude: float, way: Array, time_s: float) -> Reckoned:
+    """Nothing but a first fix, at this place [rad] and after this way [m]."""
+    return Reckoned(Course(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s)
+
+
+def _faster(memory: FilterMemory) -> float:
+    """Variance of the speed, as a share of its square."""
+    v = memory.nav[3:5]
+    return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), SLOW**2) ** 2
 
 
 def believed(angle: float, speed: float) -> bool:
