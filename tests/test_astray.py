@@ -13,7 +13,8 @@ from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.filter.course import Course, led_astray, told_by_fixes
 from navfilter.filter.memory import differences
 from navfilter.filter.offsets import has_offset
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, simulate_scenario, survey_vehicle
+from navfilter.simulation.simulate import simulate
 
 
 def short(duration_s):
@@ -204,3 +205,36 @@ def test_a_unit_that_runs_away_from_its_dvl_is_not_a_dvl_that_jumps_again_and_ag
     track = nf.replay(staged.vehicle, mission, output_rate_hz=1.0)
     assert track.counts["jumped"] <= 3
     assert np.nanmax(track.errors(mission.truth).horizontal) < 100.0
+
+
+def test_fixes_and_dvl_turn_a_heading_that_gyros_alone_have_led():
+    """A gyro about the vertical that goes wrong for a while, and no compass: the fixes were refused for good, the
+    heading sure to 6 deg, and the way of the vehicle another one.
+    """
+    plain = survey_vehicle()
+    sensors = {name: sensor for name, sensor in plain.sensors.items() if name != "compass"}
+    vehicle = nf.Vehicle(plain.drive, sensors).with_error(gps=nf.White(sd=0.2))
+    mission = simulate(vehicle, lawnmower(300.0), seed=4, duration_s=300.0).hide("gps", (55.0, 120.0))
+    imu = mission.streams["imu"]
+    age_s = imu.time_s - 60.0
+    wrong = imu.value + (0.005 * age_s * ((age_s > 0.0) & (age_s < 20.0)))[:, None] * np.eye(6)[2]
+    spoiled = mission.with_stream("imu", nf.Stream(imu.time_s, wrong, imu.columns))
+    smoothed = nf.replay(vehicle, spoiled, smooth=True, output_rate_hz=1.0)
+    for track in (smoothed.forward, smoothed):
+        errors, late = track.errors(mission.truth), track.time_s > 160.0
+        nees = track.nees(errors)
+        assert np.nanmax(errors.horizontal[late]) < 1.0
+        assert max(float(np.nanmean(nees[what][late])) for what in ("position", "velocity", "heading")) < 4.0
+
+
+@pytest.mark.parametrize("begin_s", [5.0, 60.0])
+def test_fixes_of_a_place_that_no_vehicle_reaches_are_never_let_in(begin_s):
+    """Latitude and longitude with the sign changed: the gate doubled every 20 s until it let them in, 12000 km off."""
+    drive = reckoning_vehicle()
+    gate = nf.Position(rate_hz=1.0, error=nf.White(sd=3.0), gate_timeout_s=0.5)  # what takes forty minutes else
+    vehicle = nf.Vehicle(drive.drive, {**drive.sensors, "gps": gate})
+    mission = simulate(vehicle, lawnmower(120.0), seed=2, duration_s=120.0)
+    fixes = mission.streams["gps"]
+    other = fixes.value * np.where(fixes.time_s > begin_s, -1.0, 1.0)[:, None] ** np.array([1, 1, 0])
+    track = nf.replay(vehicle, mission.with_stream("gps", nf.Stream(fixes.time_s, other)), output_rate_hz=1.0)
+    assert np.nanmax(track.errors(mission.truth).horizontal) < 20.0

@@ -15,7 +15,8 @@ from navfilter.filter.intake import Intake
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
 from navfilter.simulation.presets import tactical_imu
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import lawnmower, simulate_scenario, survey_vehicle
+from navfilter.simulation.simulate import simulate
 from navfilter.state import NavState, matrix_from_euler, rotation_matrix
 
 DEG, METRES = math.pi / 180.0, 6.37e6
@@ -240,3 +241,21 @@ def test_a_bias_that_jumps_is_not_taken_for_a_tilt():
     nees = track.nees(track.errors(mission.truth))["attitude"]
     assert track.counts["contradicted"] == 6
     assert np.nanmean(nees[track.time_s > 250.0]) < 2.0
+
+
+def test_while_an_instrument_tells_the_tilt_accelerometers_do_not_replace_it():
+    """An accelerometer along x that comes to be half of gravity off: roll and pitch were set to it, 27 deg off, and the
+    AHRS that had them right was refused from then on.
+    """
+    plain = survey_vehicle()
+    tilt = nf.GaussMarkov(sd=0.3 * DEG, tau_s=20.0)
+    ahrs = nf.Attitude(rate_hz=2.0, error=(tilt, tilt, nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0)))
+    sensors = {name: sensor for name, sensor in plain.sensors.items() if name != "compass"}
+    vehicle = nf.Vehicle(plain.drive, {**sensors, "ahrs": ahrs})
+    mission = simulate(vehicle, lawnmower(300.0), seed=4, duration_s=300.0)
+    imu = mission.streams["imu"]
+    off = np.clip(0.1 * (imu.time_s - 100.0), 0.0, 5.0)[:, None] * np.eye(6)[3]
+    spoiled = mission.with_stream("imu", nf.Stream(imu.time_s, imu.value + off, imu.columns))
+    track = nf.replay(vehicle, spoiled, output_rate_hz=1.0)
+    tilts = np.degrees(np.abs(track.errors(mission.truth).attitude[:, :2]))
+    assert np.nanmax(tilts) < 5.0

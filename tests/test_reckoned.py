@@ -10,9 +10,8 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter.course import Course, seen_turned
+from navfilter.filter.course import Course, rather_drawn, seen_turned
 from navfilter.filter.offsets import has_offset
-from navfilter.filter.reckoned import believed
 from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, survey
 from navfilter.simulation.simulate import simulate
 from navfilter.state import wrap
@@ -198,7 +197,7 @@ def course(fix_velocity, way_velocity=(1.5, 0.0), seconds=100):
 def test_on_a_straight_way_what_keeps_its_speed_has_turned(dive, fix_velocity, angle_deg):
     vehicle, mission = dive
     fixes = nf.Navigator(vehicle, mission.start, threads=False).filter.channels["gps"]
-    turn = seen_turned(course(fix_velocity), fixes, 1e-4, believed)
+    turn = seen_turned(course(fix_velocity), fixes, 1e-4, rather_drawn)
     if angle_deg is None:
         assert turn is None
     else:

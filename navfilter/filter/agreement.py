@@ -23,6 +23,7 @@ from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
+from navfilter.filter.refused_way import REACH_M
 from navfilter.filter.slack import reckoned, wander
 from navfilter.kernels import listen
 
@@ -44,9 +45,6 @@ HELD = 0.25
 #: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
 #: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
 SURFACED = chi_square_limit(0.99, np.arange(1, 4))
-#: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
-#: state is no longer a metre north of them.
-REACH_M = 1e5
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
 AGAIN = 0.02
 

@@ -21,9 +21,11 @@ from navfilter.filter.adoption import Change
 from navfilter.filter.asking import update
 from navfilter.filter.offsets import offset_states, with_offsets
 from navfilter.kernels import kalman, listen, measurement
+from navfilter.state import rotation_matrix
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
+    from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
 __all__ = [
@@ -32,10 +34,12 @@ __all__ = [
     "direction",
     "led_astray",
     "of_one_way",
+    "rather_drawn",
     "seen_turned",
     "told_by_fixes",
     "told_here",
     "turned",
+    "turned_by_fixes",
     "used",
 ]
 
@@ -51,6 +55,11 @@ SCALE = 0.05
 FITS, MISSES = 2.0, 4.0
 #: A velocity sensor has been used so lately at most [s].
 RECENT_S = 5.0
+#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
+#: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
+DRAWN_RAD = math.radians(15.0)
+#: What it leaves of the speed, in standard deviations [1].
+SAME_SPEED = 2.0
 
 
 @dataclass(frozen=True)
@@ -126,9 +135,15 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
     compasses = [c for c in recent if c.sensor.corrects == "heading"]
     moving = any(_reckons(c) for c in recent)
-    if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].sensor.north is None:
+    if course.count < 3 or not moving or len(compasses) > 1:
         return None
+    if not compasses:  # the gyros alone have led the heading: what it may be off by is part of the angle
+        heading, going = float(filter.memory.P[8, 8]), direction(filter)
+        turn = seen_turned(course, fixes, max(0.0, going - heading), rather_drawn, heading=heading)
+        return turn and Change(fixes.name, fixes.sensor.models, afresh=True, turn=turn)
     compass = compasses[0]
+    if compass.sensor.north is None:
+        return None
     told = math.radians(filter.start.heading_sd_deg)
     believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
     turn = seen_turned(course, fixes, direction(filter), believed)
@@ -181,6 +196,11 @@ def seen_turned(
     if beside_turned > FITS**2 * noise or (believed(angle, speed) and beside_drawn < MISSES**2 * noise):
         return None
     return angle, variance + direction
+
+
+def rather_drawn(angle: float, speed: float) -> bool:
+    """Whether fixes are rather drawn off than a heading is turned by an angle, and a speed off by so many sd."""
+    return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
 
 
 def of_one_way(course: Course, fixes: Channel, share: float) -> bool:
@@ -340,3 +360,15 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     if tape is not None:
         tape.record(compass.record, a, compass.dims)
         tape.row(memory.time_s, nav, x, P)
+
+
+def turned_by_fixes(filter: Filter, angle: float, variance: float, tell: Listening) -> None:
+    """Turn the heading, and the velocity with it, by an angle of this variance that fixes alone have told, where no
+    compass does; `tell` is told of the new states.
+    """
+    nav, n = filter.memory.nav, len(filter.memory.P)
+    R, M, along = rotation_matrix(np.array([0.0, 0.0, angle])), np.eye(n), np.zeros(n)
+    velocity = R @ nav[3:6]
+    M[3:6, 3:6] = M[6:9, 6:9] = R
+    along[[3, 4, 8]] = -velocity[1], velocity[0], 1.0
+    filter.put(velocity, R @ nav[6:15].reshape(3, 3), M, variance * np.outer(along, along), tell)

@@ -167,9 +167,19 @@ def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> N
     tell(StoodIn(seconds))
 
 
+def _tells_tilt(channel: Channel, now_s: float) -> bool:
+    """Whether a sensor that reads roll and pitch agrees with the state, and has been used lately."""
+    memory, instrument = channel.memory, channel.sensor.north is not None and channel.axes > 1
+    return instrument and memory.agrees and now_s - memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
+
+
 def _level(filter: Filter) -> Level | None:
-    """What the accelerometers show; None where they are not used, or feel more than gravity."""
+    """What the accelerometers show; None where they are not used, or feel more than gravity, and while an instrument
+    that tells the tilt itself is used.
+    """
     memory, watch = filter.memory, filter.memory.watch
+    if any(_tells_tilt(channel, memory.time_s) for channel in filter.channels.values()):
+        return None
     if not filter.watch.active or (watch[3:6, kernel.HEEDED] > kernel.NOISY).any() or not watch[3, kernel.SEEN]:
         return None
     g, state = filter.layout.drive, filter.state

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
-from navfilter.filter.course import Course, direction, of_one_way, seen_turned
+from navfilter.filter.course import Course, direction, of_one_way, rather_drawn, seen_turned
 from navfilter.filter.offsets import has_offset, offset_states, with_offsets
 from navfilter.kernels import strapdown
 from navfilter.sensors.velocity import FLOWS_M_S
@@ -28,16 +28,11 @@ if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
 
-__all__ = ["Reckoned", "believed", "contradicted", "opened_velocity", "take_up"]
+__all__ = ["Reckoned", "contradicted", "opened_velocity", "take_up"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
 APART_S = 60.0
-#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
-#: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
-DRAWN_RAD = math.radians(15.0)
-#: What it leaves of the speed, in standard deviations [1].
-SAME_SPEED = 2.0
 #: A velocity sensor has been used so lately at most [s].
 RECENT_S = 5.0
 #: A speed below this tells no share of it [m/s].
@@ -99,7 +94,7 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     kept.reckoned = Reckoned(course, *_begin(before), time_s)
     # what draws a way through water off is its current, as far as water flows
     water = bool(filter.in_force.drive.wandering()) and course.drawn_m_s() < FLOWS_M_S
-    drawn = (lambda angle, speed: True) if water else believed
+    drawn = (lambda angle, speed: True) if water else rather_drawn
     wanders, constant = float(memory.drv[strapdown.SPREAD + YAW]) ** 2, float(memory.P[8, 8])
     share = _faster(memory) + wanders
     beside = max(0.0, direction(filter) - constant) + wanders
@@ -124,11 +119,6 @@ def _faster(memory: FilterMemory) -> float:
     """Variance of the speed, as a share of its square."""
     v = memory.nav[3:5]
     return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), SLOW**2) ** 2
-
-
-def believed(angle: float, speed: float) -> bool:
-    """Whether a compass is believed rather than fixes that are off by an angle, and in speed by so many sd."""
-    return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
 
 
 def _begin(before: Reckoned) -> tuple[float, float, float, float]:

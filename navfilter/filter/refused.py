@@ -16,7 +16,7 @@ from navfilter.filter.adoption import Change
 from navfilter.filter.asking import update
 from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, reckoned_since, reckoned_wrongly
 from navfilter.filter.channel import Channel
-from navfilter.filter.course import Course, against_the_compass, told_here, turned
+from navfilter.filter.course import Course, against_the_compass, told_here, turned, turned_by_fixes
 from navfilter.filter.events import Event
 from navfilter.filter.integrity import FOLLOWED_S, IN_LINE
 from navfilter.filter.offsets import with_offsets
@@ -58,6 +58,8 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         kept.rejected_since_s, kept.refused_speed = time_s, math.hypot(*memory.nav[3:6].tolist())
     if frozen or (kept.scatter is not None and kept.scatter.worthless):
         kept.refused = None
+        return False
+    if refused_way.out_of_reach(filter, channel, time_s):
         return False
     if channel.sensor.ground:
         kept.way = refused_way.with_refused(filter, channel, time_s)
@@ -191,9 +193,11 @@ def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s:
     change = None if refused.course is None else against_the_compass(filter, fixes, refused.course, time_s)
     if change is None or change.turn is None:
         return False
-    filter.channels[change.sensor].memory.course = told_here(fixes, memory.nav, change.turn[1])
     memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
-    filter.jumped += [Change(fixes.name, fixes.sensor.models, afresh=True), change]
+    if change.sensor != fixes.name:
+        filter.channels[change.sensor].memory.course = told_here(fixes, memory.nav, change.turn[1])
+        filter.jumped.append(Change(fixes.name, fixes.sensor.models, afresh=True))
+    filter.jumped.append(change)
     memory.counts["reset"] += 1
     memory.counts["jumped"] += 1
     return True
@@ -234,7 +238,9 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
         channel.memory.refused = None
         if change.afresh or change.error is not channel.sensor.models:
             filter.adopt(change, tell)
-        if change.turn is not None:
+        if change.turn is not None and channel.sensor.north is None:
+            turned_by_fixes(filter, *change.turn, tell)
+        elif change.turn is not None:
             turned(filter, channel, *change.turn)
 
 

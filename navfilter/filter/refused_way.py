@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter import over_ground
+from navfilter.kernels import listen
+from navfilter.state import NavState
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
@@ -29,6 +31,7 @@ __all__ = [
     "followed",
     "full_residual",
     "most_speed",
+    "out_of_reach",
     "since_fix",
     "with_refused",
 ]
@@ -36,6 +39,9 @@ __all__ = [
 Array = NDArray[np.float64]
 #: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
 MOST_SPEED, FASTER = 3.0, 2.0
+#: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
+#: state is no longer a metre north of them.
+REACH_M = 1e5
 #: A reading speaks for so long at most [s]: after a longer silence nobody knows what the sensor would have said.
 SPEAKS_S = 1.0
 #: The way of the refused readings is known to this share of itself beside the heading's error [1]: what lies between
@@ -66,6 +72,26 @@ class RefusedWay:
 def most_speed(speed: Array | float, stated: float | None) -> Array | float:
     """What a vehicle can do at most [m/s], as stated, or as far as its present speed says."""
     return stated or np.maximum(MOST_SPEED, np.multiply(FASTER, speed))
+
+
+def out_of_reach(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a refused fix is of a place to which no such vehicle has come since its start, although fixes have been
+    used: another coordinate system, a sign, another unit. However long it lasts, it is not let in.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    fixes = channel.sensor.open_loop == listen.POSITION and channel.axes == over_ground.AXES
+    if not fixes or channel.memory.used_s == -math.inf:
+        return False
+    off = NavState.unpack(time_s, filter.memory.nav).minus(filter.start.state)[:2] + np.nan_to_num(channel.res[:2])
+    most = float(most_speed(channel.memory.refused_speed, filter.vehicle.drive.max_speed_m_s))
+    return math.hypot(*off.tolist()) > REACH_M + most * (time_s - filter.start.time_s)
 
 
 def believable(residual: Array, speed: Array | float, stated: float | None) -> NDArray[np.bool_]:
