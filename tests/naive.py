@@ -450,6 +450,13 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     most_s = max(8.0, 20.0 * drv[36])
     drv[131] = drv[131] + span if started and (sample[1:4] == drv[59:62]).all() and sample[1:3].any() else 0.0
     drv[132] = drv[132] + span if started and (sample[4:7] == drv[133:136]).all() and sample[4:7].all() else 0.0
+    again = started and sample[3] == drv[61]
+    drv[193] = drv[193] + span if again else 0.0
+    if drv[193] <= 20.0 * drv[36]:
+        drv[195] = min(drv[195] + 1.0, 2000.0)
+        drv[194] += (again - drv[194]) / drv[195]
+    if drv[193] > most_s and drv[194] < 0.1 and drv[195] >= 100.0:
+        drv[131] = drv[193]
     gained, drv[133:136] = sample[4:7] - drv[133:136], sample[4:7]
     missing = missing or drv[132] > most_s
     blind = drv[131] > most_s or not np.isfinite(sample[1:4]).all()
@@ -468,6 +475,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         drv[149:155], drv[156] = _evenly(drv[152:155], per * M @ gained, per**2 * noise[3:].sum())
     elif missing:
         drv[149:152] = 0.0
+    unread = drv[131] if drv[131] > most_s and not drv[129] else span
     drv[129] = drv[129] + span if blind else 0.0
     drv[130] = drv[130] + span if missing else 0.0
     if blind:
@@ -561,7 +569,12 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     Q, walk = acc[m : 2 * m], drv[40] ** 2 * span * np.eye(3)
     Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
     if blind:
-        Q[6:9, 6:9] += span * np.diag([0.1**2, 0.1**2, 0.35**2])
+        Q[6:9, 6:9] += unread * np.diag([0.1**2, 0.1**2, 0.35**2])
+    if blind and unread > span:
+        across = np.array([current[1] - nav[4], nav[3] - current[0]])
+        Q[:2, :2] += 0.35**2 * unread**3 / 3.0 * np.outer(across, across)
+        Q[:2, 8] += 0.35**2 * unread**2 / 2.0 * across
+        Q[8, :2] += 0.35**2 * unread**2 / 2.0 * across
     if missing:
         G = np.vstack([half * np.eye(3), np.eye(3)])
         Q[:6, :6] += G @ walk @ G.T

@@ -244,7 +244,7 @@ def test_dead_reckoning_kernels(settings):
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25, **settings)
     Cr[:, 4:k] = 0.0  # parameters act through the readings, not through C
     nav = random_nav(rng)
-    for block in range(3):
+    for block in range(4):
         samples = np.column_stack([np.full(8, 0.25), 0.4 * rng.normal(size=(8, 3)), rng.normal(size=(8, 3))])
         samples[2, 4:] = np.nan
         samples[3, 4:] = 0.0  # lost
@@ -259,6 +259,9 @@ def test_dead_reckoning_kernels(settings):
         if block == 2:
             samples[:, 0], samples[:, 1:] = 2.0, samples[0, 1:]  # stuck
             samples[6:, 4] += 0.1
+        if block == 3:
+            samples[:, 0], samples[:, 3] = 2.0, samples[0, 3]  # the heading alone
+            drv[strapdown.SEEN], drv[strapdown.REPEATS] = 150.0, 0.01
         ours, twins = run_both(strapdown.dead_reckoning_steps, nav, xd, drv, samples, Phid, Qd, Cr, acc)
         assert_close(drive_result(ours), drive_result(twins))
         nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]

@@ -41,6 +41,9 @@ PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13
 GAP_TILT, GAP_TILT_S = 0.1, 30.0  # rad; a random walk gets there in so long [s]
 BLIND_TILT = 0.1  # of an attitude that is not read: 0.3 rad, a dive, in 10 s [rad/sqrt(s)]
 STUCK_S, STUCK_PERIODS = 8.0, 20.0  # readings that are the same for longer, and for so many periods, are stuck
+# A heading that came again in less than this share of so many samples or more has a digit for its noise, and does not
+# stand still on a straight way; so many are remembered.
+OFTEN, KNOWN_SAMPLES, REPEATS_SAMPLES = 0.1, 100.0, 2000.0
 # No vehicle turns or accelerates so fast [rad/s], [m/s^2], beside what a reading scatters [rad], [m/s]; after so many
 # in a row that seem to say so it is believed.
 MOST_TURN, MOST_ACCELERATION, SCATTER_RAD, SCATTER_M_S, MOST_ODD = 1.5, 5.0, 0.1, 0.5, 2.0
@@ -87,7 +90,10 @@ TURNING, RATE, GAINING, TURN_CHANGE, SPEED_CHANGE = 143, 146, 149, 155, 156
 # Dead reckoning: sd of the errors of its six readings, these as slopes by constants see them (6 each); their attitude
 # (9), how it turned, per second (9), and how fast the six change then (6).
 SPREAD, STEADY, STEADY_C, STEADY_TURN, STEADY_CHANGE = 157, 163, 169, 178, 187
-DRIVE_SIZE = 193
+# Dead reckoning: for how long the heading has been the same to the last bit [s], in which share of its samples it was
+# before, and how many these are.
+SAME_HEADING_S, REPEATS, SEEN = 193, 194, 195
+DRIVE_SIZE = 196
 # Slopes go to a new reading slowly, unless that is further off than so many sd of its errors [1].
 STEADY_SDS, FOLLOWED = 3.0, 0.02
 # The turn that moves an arm counts as far as it stands out of so many sd of its noise: by k of them it draws an arm by
@@ -1109,6 +1115,13 @@ def _stuck(drv, samples, n):
     drv[SAME_ATTITUDE_S] = drv[SAME_ATTITUDE_S] + samples[n, 0] if same_a else 0.0
     drv[SAME_VELOCITY_S] = drv[SAME_VELOCITY_S] + samples[n, 0] if same_v else 0.0
     most_s = max(STUCK_S, STUCK_PERIODS * drv[PERIOD_S])
+    same_h = drv[STARTED] != 0.0 and samples[n, 3] == drv[PREVIOUS_RPY + 2]
+    drv[SAME_HEADING_S] = drv[SAME_HEADING_S] + samples[n, 0] if same_h else 0.0
+    if drv[SAME_HEADING_S] <= STUCK_PERIODS * drv[PERIOD_S]:  # a long run is no more often than a short one
+        drv[SEEN] = min(drv[SEEN] + 1.0, REPEATS_SAMPLES)
+        drv[REPEATS] += ((1.0 if same_h else 0.0) - drv[REPEATS]) / drv[SEEN]
+    if drv[SAME_HEADING_S] > most_s and drv[REPEATS] < OFTEN and drv[SEEN] >= KNOWN_SAMPLES:
+        drv[SAME_ATTITUDE_S] = drv[SAME_HEADING_S]
     return drv[SAME_ATTITUDE_S] > most_s, drv[SAME_VELOCITY_S] > most_s
 
 
@@ -1287,6 +1300,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         blind = stuck_a or not math.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
         odd_a, odd_v = _odd(drv, samples, n, blind, missing)
         blind, missing = blind or odd_a, missing or odd_v
+        # one that is found to be stuck has not been read since it was
+        unread = drv[SAME_ATTITUDE_S] if stuck_a and drv[BLIND_S] == 0.0 else span
         drv[BLIND_S] = drv[BLIND_S] + span if blind else 0.0
         drv[LOST_S] = drv[LOST_S] + span if missing else 0.0
         if blind:
@@ -1533,9 +1548,17 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 Q[i, 3 + i] += walk * half
                 Q[3 + i, i] += walk * half
         if blind:
-            Q[6, 6] += BLIND_TILT**2 * span
-            Q[7, 7] += BLIND_TILT**2 * span
-            Q[8, 8] += GAP_TURN**2 * span
+            Q[6, 6] += BLIND_TILT**2 * unread
+            Q[7, 7] += BLIND_TILT**2 * unread
+            Q[8, 8] += GAP_TURN**2 * unread
+        if blind and unread > span:  # the way made meanwhile: the integral of a walk
+            for i in range(2):
+                a = -(nav[4] - east) if i == 0 else nav[3] - north
+                for j in range(2):
+                    b = -(nav[4] - east) if j == 0 else nav[3] - north
+                    Q[i, j] += GAP_TURN**2 * unread**3 / 3.0 * a * b
+                Q[i, 8] += GAP_TURN**2 * unread**2 / 2.0 * a
+                Q[8, i] += GAP_TURN**2 * unread**2 / 2.0 * a
         drv[STARTED] = 1.0
 
 
