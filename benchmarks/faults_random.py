@@ -29,6 +29,8 @@ from navfilter.mission import Mission, Stream
 
 #: Scored from so long after the fault on [s].
 SETTLED_S = 120.0
+#: Fixes are there while the last one is no older [s], or three of their periods; after so long they have told [s].
+THERE_S, TOLD_S = 5.0, 30.0
 #: A mean NEES of position, velocity or heading beyond this is lost, and beyond this off [1].
 LOST, OFF = 100.0, 10.0
 RADIUS_M, G = 6.371e6, 9.80665
@@ -269,6 +271,22 @@ def fly(vehicle: nf.Vehicle, mission: Mission, events: Events) -> Run:
     return Run(outcome, np.array(rows))
 
 
+def told_s(vehicle: nf.Vehicle, events: Events) -> Callable[[Array], Array]:
+    """For how long fixes have been there, at times (n,) [s]; negative where they are not."""
+    names = {n for n, s in vehicle.sensors.items() if s.corrects == "position" and s.axes > 1}
+    times = np.array([-math.inf, *(e.true_s for e in events if e.sensor in names), math.inf])
+    periods = [1.0 / vehicle.sensors[n].rate_hz for n in names]
+    gaps = np.diff(times) > max(THERE_S, 3.0 * min(periods))
+    begins, ends = times[1:][gaps], times[:-1][gaps]
+
+    def since(at_s: Array) -> Array:
+        began = begins[np.searchsorted(begins, at_s, side="right") - 1]
+        ended = ends[np.searchsorted(begins, at_s, side="right")]
+        return np.where(at_s <= ended + THERE_S, at_s - began, -1.0)
+
+    return since
+
+
 def smoothed(vehicle: nf.Vehicle, mission: Mission, events: Events, from_s: float) -> float:
     """Largest mean NEES of the smoothed track of these events, by their stamps."""
     streams = dict(mission.streams)
@@ -305,8 +323,11 @@ def figures(number: int, options: Options) -> dict[str, Any]:
     over_s = max(fault.begin_s if math.isinf(fault.end_s) else fault.end_s for fault in found)
     from_s = min(over_s + SETTLED_S, 0.9 * case.duration_s)
     row: dict[str, Any] = {"case": number, "fault": "; ".join(f.words for f in found), "vehicle": case.words}
+    lit = told_s(case.vehicle, plain)
+    scored = lambda rows: rows[(rows[:, 0] > from_s) & (lit(rows[:, 0]) >= TOLD_S)]  # noqa: E731
+    dark = not len(scored(hit.rows)) or not len(scored(clean.rows))
     for name, run in (("", hit), ("clean_", clean)):
-        after = run.rows[run.rows[:, 0] > from_s]
+        after = run.rows[run.rows[:, 0] > from_s] if dark else scored(run.rows)
         row |= {f"{name}m": float(np.sqrt(np.mean(after[:, 1] ** 2)))} if len(after) else {f"{name}m": math.nan}
         row[f"{name}deg"] = float(np.sqrt(np.mean(after[:, 2] ** 2))) / DEG if len(after) else math.nan
         row[f"{name}nees"] = float(after[:, 3:].mean(axis=0).max()) if len(after) else math.nan
@@ -330,8 +351,6 @@ def figures(number: int, options: Options) -> dict[str, Any]:
     odd += ["stopped"] * hit.outcome.stopped
     lost = row["nees"] > max(LOST, 10.0 * row["clean_nees"])
     off = row["nees"] > max(OFF, 3.0 * row["clean_nees"])
-    fixes = {n for n, s in case.vehicle.sensors.items() if s.corrects == "position" and s.axes > 1}
-    dark = not any(e.sensor in fixes and e.true_s > from_s for e in plain)
     odd += ["dark"] * (off and dark) + ["lost"] * (lost and not dark) + ["off"] * (off and not lost and not dark)
     odd += ["unused"] * any(u.split()[0] not in lasting and DRIVE not in lasting for u in unused)
     odd += ["unsaid"] * (off and not news)
