@@ -27,7 +27,18 @@ from navfilter.filter.refused_way import REACH_M
 from navfilter.filter.slack import reckoned, wander
 from navfilter.kernels import listen
 
-__all__ = ["alike", "decided", "disproved", "heard", "is_back", "judges", "limits", "offset_places", "opened_state"]
+__all__ = [
+    "alike",
+    "decided",
+    "disproved",
+    "heard",
+    "is_back",
+    "is_none",
+    "judges",
+    "limits",
+    "offset_places",
+    "opened_state",
+]
 
 Array = NDArray[np.float64]
 
@@ -45,6 +56,8 @@ HELD = 0.25
 #: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
 #: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
 SURFACED = chi_square_limit(0.99, np.arange(1, 4))
+#: A constant that is off by no more of its standard deviations is zero but for chance [1]: one in three is off by more.
+CHANCE = 1.0
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
 AGAIN = 0.02
 
@@ -243,6 +256,26 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
 def offset_places(channel: Channel) -> NDArray[np.int64]:
     """Where the constants of a sensor that has jumped stand in the error state; empty where it has none."""
     return channel.group.start + offset_states(channel.sensor.models, channel.period_s)
+
+
+def is_none(channel: Channel, x: Array, P: Array) -> bool:
+    """Whether the constants of a sensor that has jumped are told to be none: each, and what they make of a reading, is
+    zero within `CHANCE` of its standard deviations, and the latter is known as well as two readings may differ anyway.
+
+    Parameters
+    ----------
+    channel : Channel
+    x : ndarray, shape (n - 9,)
+        Error states.
+    P : ndarray, shape (n, n)
+        Covariance.
+    """
+    places = offset_places(channel)
+    off = channel.C[:, places - channel.group.start]
+    known = np.einsum("ij,jk,ik->i", off, P[np.ix_(places, places)], off)
+    zero = (x[places - 9] ** 2 <= CHANCE**2 * P[places, places]).all()
+    none = np.all((off @ x[places - 9]) ** 2 <= CHANCE**2 * known)
+    return bool(zero and none and np.all(known <= np.diag(channel.R) + wander(channel, math.inf, with_offset=False)))
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:

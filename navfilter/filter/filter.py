@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, course, drive_watch, iron, realignment, refused, scatter, shifts
+from navfilter.filter import agreement, drive_watch, realignment, refused, scatter, shifts
 from navfilter.filter.adoption import Adoption, Change, adoption
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -366,8 +366,7 @@ class Filter(Estimate):
         (nis, dof, used), widened = channel.verdict.tolist(), False
         described = scatter.heard(self, channel, time_s, frozen)
         if used:
-            course.used(self, channel, time_s)
-            iron.used(self, channel, time_s)
+            refused.used(self, channel, time_s)
         elif dof and math.isfinite(nis):
             widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
         nis, channel.verdict[0] = described, channel.verdict[0] if widened else described

@@ -28,6 +28,8 @@ MOST_OFF = {"position": 1e5, "velocity": 20.0, "depth": 1.2e4}
 #: What together knows where the vehicle is and how it moves, and how far off it says that the state is at least [m],
 #: [m/s]: a slow vehicle's wrong clock or lever arm makes less of a turn.
 MOTION = {"position": 0.0, "velocity": 2.0}
+#: What tells a place, or a height.
+PLACE = ("position", "depth")
 #: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
 MOTION_S = 10.0
 #: Where nothing else tells how the vehicle moves, fixes that are refused contradict the state in the same time, once
@@ -72,11 +74,25 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
             for_it.append(sensor.corrects)
     against_motion = motion == MOTION.keys() or (alone and "velocity" not in present)
     gone = against_motion and not MOTION.keys() & set(for_it)
-    return gone or (len(against) > 1 and not for_it)
+    return gone or (len(against) > 1 and not for_it) or _place_contradicted(channels, time_s)
+
+
+def _place_contradicted(channels: Collection[Channel], time_s: float) -> bool:
+    """Whether all that tells a place or a height, two sensors or more, has been refused for half its time-out: compass
+    and velocity, which may agree, know nothing of that.
+    """
+    refused = []
+    for channel in channels:
+        memory, sensor = channel.memory, channel.sensor
+        heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * channel.period_s)
+        if heard and sensor.corrects in PLACE:
+            refused.append(time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s and _off(channel) > 0.0)
+    return len(refused) > 1 and all(refused)
 
 
 def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
-    """Variance to add to position, velocity and attitude, shape (9,), so that the sensors establish them again.
+    """Variance to add to position, velocity and attitude, shape (9,), so that the sensors establish them again; none to
+    the attitude where it is only a place that they contradict, and a compass and a velocity go on to agree.
 
     Parameters
     ----------
@@ -85,8 +101,9 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
     time_s : float
         Now [s].
     """
-    largest = np.zeros(6)
+    largest, agree = np.zeros(6), set()
     for channel in channels:
+        agree |= {channel.sensor.corrects} if channel.memory.agrees else set()
         since_s = channel.memory.rejected_since_s
         if not math.isnan(since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
@@ -94,7 +111,8 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
             if _goes_away(channel):
                 # what grows as the square of the time
                 largest[3:] = np.maximum(largest[3:], 2.0 * _off(channel) / max(time_s - since_s, channel.period_s))
-    spread = np.concatenate([largest + OPEN_MOTION, OPEN_ATTITUDE])
+    turned = 0.0 if {"heading", "velocity"} <= agree else 1.0
+    spread = np.concatenate([largest + OPEN_MOTION, turned * OPEN_ATTITUDE])
     return np.asarray(spread**2)
 
 

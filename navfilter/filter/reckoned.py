@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from navfilter.filter.adoption import Change
 from navfilter.filter.course import Course, direction, of_one_way, rather_drawn, seen_turned
 from navfilter.filter.offsets import has_offset, offset_states, with_offsets
+from navfilter.filter.refused_way import most_speed
 from navfilter.kernels import strapdown
 from navfilter.sensors.velocity import FLOWS_M_S
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
 
-__all__ = ["Reckoned", "contradicted", "opened_velocity", "take_up"]
+__all__ = ["Reckoned", "contradicted", "opened_again", "opened_velocity", "take_up"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
@@ -159,6 +160,21 @@ def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
         used = now_s - channel.memory.used_s < RECENT_S and channel.sensor.corrects == "velocity"
         if used and channel.sensor.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
+    return None
+
+
+def opened_again(filter: Filter, size: float) -> Change | None:
+    """The same for a velocity that drives and goes on to be wrong by this much [m/s], as that of a log whose sign has
+    changed, or whatever a compass does to it that follows no turn: constants that it has are opened further.
+    """
+    speed = math.hypot(*filter.memory.nav[3:6].tolist())
+    size = min(size, speed + float(most_speed(speed, filter.vehicle.drive.max_speed_m_s)))
+    models, memory = filter.in_force.drive.models, filter.memory
+    if not has_offset(models[3:]):
+        return opened_velocity(filter, size, speed)
+    first = filter.layout.drive.start + sum(model.block(filter.period_s).size for model in models[:3])
+    places = first + offset_states(models[3:], filter.period_s)
+    memory.P[places, places] += size**2
     return None
 
 
