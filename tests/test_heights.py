@@ -97,5 +97,5 @@ def test_a_gauge_whose_constant_turns_out_to_be_none_is_good_again():
     age_s = np.where(dvl.time_s < FAULT_S + 30.0, np.maximum(dvl.time_s - FAULT_S, 0.0), 0.0)
     value = dvl.value + age_s[:, None] * of("dvl")
     nav = nf.Navigator(vehicle, mission.start)
-    states = list(once_a_second(nav, vehicle, mission.with_stream("dvl", dataclasses.replace(dvl, value=value))))
+    list(once_a_second(nav, vehicle, mission.with_stream("dvl", dataclasses.replace(dvl, value=value))))
     assert nav.counts["jumped"] and nav.health.sensors["depth"].condition == "good"
