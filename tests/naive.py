@@ -455,11 +455,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     if drv[193] <= 20.0 * drv[36]:
         drv[195] = min(drv[195] + 1.0, 2000.0)
         drv[194] += (again - drv[194]) / drv[195]
-    if drv[193] > most_s and drv[194] < 0.1 and drv[195] >= 100.0:
-        drv[131] = drv[193]
+    stuck, held = drv[131] > most_s, drv[193] > most_s and drv[194] < 0.1 and drv[195] >= 100.0
+    drv[131] = drv[193] if held else drv[131]
     gained, drv[133:136] = sample[4:7] - drv[133:136], sample[4:7]
     missing = missing or drv[132] > most_s
-    blind = drv[131] > most_s or not np.isfinite(sample[1:4]).all()
+    blind = stuck or not np.isfinite(sample[1:4]).all()
     if started and not blind:
         angle = abs((sample[3] - drv[61] + np.pi) % (2 * np.pi) - np.pi)
         odd = angle > 1.5 * (drv[129] + span) + 0.1 and drv[136] < 2
@@ -475,8 +475,9 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         drv[149:155], drv[156] = _evenly(drv[152:155], per * M @ gained, per**2 * noise[3:].sum())
     elif missing:
         drv[149:152] = 0.0
-    unread = drv[131] if drv[131] > most_s and not drv[129] else span
-    drv[129] = drv[129] + span if blind else 0.0
+    held = held and not blind
+    unread = drv[131] if (stuck or held) and not drv[129] else span
+    drv[129] = drv[129] + span if blind or held else 0.0
     drv[130] = drv[130] + span if missing else 0.0
     if blind:
         sample[1:4] = drv[59:62]
@@ -505,10 +506,10 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     if late_v >= 0:
         E[3:, late_v] += late[3:] - seen[3:]
     roll, pitch, yaw = sample[1:4] - err[:3]
-    yaw += drv[43]  # declination
+    yaw = np.arctan2(C0[1, 0], C0[0, 0]) if held else yaw + drv[43]  # declination
     C = C0 if blind else euler(roll, pitch, yaw)
     # each angle turns about one of these
-    axes = np.zeros((3, 3)) if blind else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])
+    axes = np.zeros((3, 3)) if blind else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, (not held) * DOWN])
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
     turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
     if blind:
@@ -548,6 +549,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         F[3:6, 6:9] += by_turn
         F[:3, 6:9] += -half * skew(u) + skew(l1)
         F[6:9, 6:9] += np.eye(3)
+    if held:
+        row = _bearing(C0 @ NORTH)[1]
+        F[3:6, 6:9] += np.outer((per * skew(l1) - skew(u)) @ DOWN, row)
+        F[:3, 6:9] += np.outer((skew(l1) - half * skew(u)) @ DOWN, row)
+        F[8, 6:9] += row
     if dev >= 0:
         y = drv[165]
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
@@ -570,7 +576,9 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
     if blind:
         Q[6:9, 6:9] += unread * np.diag([0.1**2, 0.1**2, 0.35**2])
-    if blind and unread > span:
+    if held:
+        Q[8, 8] += unread * 0.35**2
+    if (blind or held) and unread > span:
         across = np.array([current[1] - nav[4], nav[3] - current[0]])
         Q[:2, :2] += 0.35**2 * unread**3 / 3.0 * np.outer(across, across)
         Q[:2, 8] += 0.35**2 * unread**2 / 2.0 * across

@@ -1104,7 +1104,7 @@ def _change(drv, place, now, before, span, missing, Cr, wander, late):
 
 @njit(cache=True, error_model="numpy")
 def _stuck(drv, samples, n):
-    """Whether attitude and velocity have been the same for so long that nobody reads them."""
+    """Whether attitude, the heading alone, and velocity have been the same for so long that nobody reads them."""
     # of a vehicle that is told to be level the heading alone is read, and a coarse one may stand still
     same_a = drv[STARTED] != 0.0 and (samples[n, 1] != 0.0 or samples[n, 2] != 0.0)
     same_v = drv[STARTED] != 0.0
@@ -1120,9 +1120,11 @@ def _stuck(drv, samples, n):
     if drv[SAME_HEADING_S] <= STUCK_PERIODS * drv[PERIOD_S]:  # a long run is no more often than a short one
         drv[SEEN] = min(drv[SEEN] + 1.0, REPEATS_SAMPLES)
         drv[REPEATS] += ((1.0 if same_h else 0.0) - drv[REPEATS]) / drv[SEEN]
-    if drv[SAME_HEADING_S] > most_s and drv[REPEATS] < OFTEN and drv[SEEN] >= KNOWN_SAMPLES:
+    stuck_a, stuck_h = drv[SAME_ATTITUDE_S] > most_s, drv[SAME_HEADING_S] > most_s
+    stuck_h = stuck_h and drv[REPEATS] < OFTEN and drv[SEEN] >= KNOWN_SAMPLES
+    if stuck_h:
         drv[SAME_ATTITUDE_S] = drv[SAME_HEADING_S]
-    return drv[SAME_ATTITUDE_S] > most_s, drv[SAME_VELOCITY_S] > most_s
+    return stuck_a, stuck_h, drv[SAME_VELOCITY_S] > most_s
 
 
 @njit(cache=True, error_model="numpy")
@@ -1162,6 +1164,20 @@ def _keep_attitude(F, l1, u0, u1, u2, half, per):
         F[4, 6 + j] += v1 - per * y1
         F[5, 6 + j] += v2 - per * y2
         F[6 + j, 6 + j] += 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _keep_heading(F, l1, u0, u1, half, per, nav):
+    """The same of a heading alone that was not read: by its derivative by the attitude of the step before."""
+    n0, n1, n2 = nav[6], nav[9], nav[12]
+    level = n0 * n0 + n1 * n1
+    for j in range(3):
+        by = 1.0 if j == 2 else -n2 * (n0 if j == 0 else n1) / level
+        F[0, 6 + j] += by * (l1[1] - half * u1)
+        F[1, 6 + j] += by * (half * u0 - l1[0])
+        F[3, 6 + j] += by * (per * l1[1] - u1)
+        F[4, 6 + j] += by * (u0 - per * l1[0])
+        F[8, 6 + j] += by
 
 
 @njit(cache=True, error_model="numpy")
@@ -1295,14 +1311,15 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(4, 7):
             missing = missing or not abs(samples[n, i]) <= drv[MAX_SPEED]
             moving = moving or samples[n, i] != 0.0
-        stuck_a, stuck_v = _stuck(drv, samples, n)
+        stuck_a, stuck_h, stuck_v = _stuck(drv, samples, n)
         missing = missing or not moving or stuck_v
         blind = stuck_a or not math.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
         odd_a, odd_v = _odd(drv, samples, n, blind, missing)
         blind, missing = blind or odd_a, missing or odd_v
+        held = stuck_h and not blind  # roll and pitch are read
         # one that is found to be stuck has not been read since it was
-        unread = drv[SAME_ATTITUDE_S] if stuck_a and drv[BLIND_S] == 0.0 else span
-        drv[BLIND_S] = drv[BLIND_S] + span if blind else 0.0
+        unread = drv[SAME_ATTITUDE_S] if (stuck_a or held) and drv[BLIND_S] == 0.0 else span
+        drv[BLIND_S] = drv[BLIND_S] + span if blind or held else 0.0
         drv[LOST_S] = drv[LOST_S] + span if missing else 0.0
         if blind:
             for i in range(3):
@@ -1340,6 +1357,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if dev >= 0:
             err[2] += s1 * xd[dev] + c1 * xd[dev + 1] + s2 * xd[dev + 2] + c2 * xd[dev + 3]
         roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2] + drv[DECLINATION]
+        if held:
+            psi = math.atan2(nav[9], nav[6])
         cr, sr, cp, sp, cy, sy = (
             math.cos(roll),
             math.sin(roll),
@@ -1396,7 +1415,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if not blind:
             for i in range(3):
                 J[6 + i, 0] = C[i, 0]
-            J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 1.0
+            J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 0.0 if held else 1.0
         if missing:
             for i in range(3):
                 for j in range(3):
@@ -1457,6 +1476,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         _turn_arm(F, l0, per)
         if blind:
             _keep_attitude(F, l1, through0, through1, through2, half, per)
+        if held:
+            _keep_heading(F, l1, through0, through1, half, per, nav)
         for s in range(k):
             for i in range(9):
                 for a in range(6):
@@ -1550,8 +1571,9 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if blind:
             Q[6, 6] += BLIND_TILT**2 * unread
             Q[7, 7] += BLIND_TILT**2 * unread
+        if blind or held:
             Q[8, 8] += GAP_TURN**2 * unread
-        if blind and unread > span:  # the way made meanwhile: the integral of a walk
+        if (blind or held) and unread > span:  # the way made meanwhile: the integral of a walk
             for i in range(2):
                 a = -(nav[4] - east) if i == 0 else nav[3] - north
                 for j in range(2):
