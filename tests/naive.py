@@ -452,7 +452,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     drv[132] = drv[132] + span if started and (sample[4:7] == drv[133:136]).all() and sample[4:7].all() else 0.0
     again = started and sample[3] == drv[61]
     drv[193] = drv[193] + span if again else 0.0
-    if drv[193] <= 20.0 * drv[36]:
+    if drv[193] <= 5.0 * drv[36]:
         drv[195] = min(drv[195] + 1.0, 2000.0)
         drv[194] += (again - drv[194]) / drv[195]
     stuck, held = drv[131] > most_s, drv[193] > most_s and drv[194] < 0.1 and drv[195] >= 100.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
 from navfilter.filter.course import Course, direction, of_one_way, rather_drawn, seen_turned
-from navfilter.filter.offsets import has_offset, offset_states, with_offsets
+from navfilter.filter.offsets import has_offset, offset_states, wanders, with_offsets
 from navfilter.filter.refused_way import most_speed
 from navfilter.kernels import strapdown
 from navfilter.sensors.velocity import FLOWS_M_S
@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 APART_S = 60.0
 #: A velocity sensor has been used so lately at most [s].
 RECENT_S = 5.0
+#: A velocity that has been opened and is beaten again is off by no constant: by another after about so long [s].
+WANDERS_S = 60.0
 #: A speed below this tells no share of it [m/s].
 SLOW = 0.1
 #: Of the drive's three angles.
@@ -97,14 +99,15 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     water = bool(filter.in_force.drive.wandering()) and course.drawn_m_s() < FLOWS_M_S
     drawn = (lambda angle, speed: True) if water else rather_drawn
     wanders, constant = float(memory.drv[strapdown.SPREAD + YAW]) ** 2, float(memory.P[8, 8])
-    share = _faster(memory) + wanders
+    flows = _flows(memory)
+    share = _faster(memory) + wanders + flows
     beside = max(0.0, direction(filter) - constant) + wanders
     turn = seen_turned(course, fixes, beside, drawn, share, constant)
     if turn is None:
         if not of_one_way(course, fixes, share):
             kept.reckoned = _from_here(latitude, longitude, way, time_s)
         return None
-    kept.reckoned = None
+    turn, kept.reckoned = (turn[0], turn[1] + flows), None
     memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
     memory.counts["reset"] += 1
     memory.counts["jumped"] += 1
@@ -114,6 +117,13 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
 def _from_here(latitude: float, longitude: float, way: Array, time_s: float) -> Reckoned:
     """Nothing but a first fix, at this place [rad] and after this way [m]."""
     return Reckoned(Course(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s)
+
+
+def _flows(memory: FilterMemory) -> float:
+    """Square of the current, as a share of that of the speed: beside a wrong heading it has been estimated wrongly."""
+    place, v = int(memory.drv[strapdown.CURRENT]), memory.nav[3:5]
+    current = memory.x[place : place + 2] if place >= 0 else np.zeros(2)
+    return float(current @ current) / max(float(v @ v), SLOW**2)
 
 
 def _faster(memory: FilterMemory) -> float:
@@ -165,7 +175,7 @@ def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
 
 def opened_again(filter: Filter, size: float) -> Change | None:
     """The same for a velocity that drives and goes on to be wrong by this much [m/s], as that of a log whose sign has
-    changed, or whatever a compass does to it that follows no turn: constants that it has are opened further.
+    changed, or whatever a compass does to it that follows no turn: constants that it has are opened, and wander.
     """
     speed = math.hypot(*filter.memory.nav[3:6].tolist())
     size = min(size, speed + float(most_speed(speed, filter.vehicle.drive.max_speed_m_s)))
@@ -175,7 +185,9 @@ def opened_again(filter: Filter, size: float) -> Change | None:
     first = filter.layout.drive.start + sum(model.block(filter.period_s).size for model in models[:3])
     places = first + offset_states(models[3:], filter.period_s)
     memory.P[places, places] += size**2
-    return None
+    if wanders(models[3:]):
+        return None
+    return Change("velocity", with_offsets(models[3:], size, density=size / math.sqrt(WANDERS_S)), offsets=True)
 
 
 def take_up(filter: Filter, change: Change, tell: Listening) -> None:

@@ -42,8 +42,8 @@ GAP_TILT, GAP_TILT_S = 0.1, 30.0  # rad; a random walk gets there in so long [s]
 BLIND_TILT = 0.1  # of an attitude that is not read: 0.3 rad, a dive, in 10 s [rad/sqrt(s)]
 STUCK_S, STUCK_PERIODS = 8.0, 20.0  # readings that are the same for longer, and for so many periods, are stuck
 # A heading that came again in less than this share of so many samples or more has a digit for its noise, and does not
-# stand still on a straight way; so many are remembered.
-OFTEN, KNOWN_SAMPLES, REPEATS_SAMPLES = 0.1, 100.0, 2000.0
+# stand still on a straight way; so many are remembered, and of a run no more than so many.
+OFTEN, KNOWN_SAMPLES, REPEATS_SAMPLES, COUNTED_PERIODS = 0.1, 100.0, 2000.0, 5.0
 # No vehicle turns or accelerates so fast [rad/s], [m/s^2], beside what a reading scatters [rad], [m/s]; after so many
 # in a row that seem to say so it is believed.
 MOST_TURN, MOST_ACCELERATION, SCATTER_RAD, SCATTER_M_S, MOST_ODD = 1.5, 5.0, 0.1, 0.5, 2.0
@@ -1117,7 +1117,7 @@ def _stuck(drv, samples, n):
     most_s = max(STUCK_S, STUCK_PERIODS * drv[PERIOD_S])
     same_h = drv[STARTED] != 0.0 and samples[n, 3] == drv[PREVIOUS_RPY + 2]
     drv[SAME_HEADING_S] = drv[SAME_HEADING_S] + samples[n, 0] if same_h else 0.0
-    if drv[SAME_HEADING_S] <= STUCK_PERIODS * drv[PERIOD_S]:  # a long run is no more often than a short one
+    if drv[SAME_HEADING_S] <= COUNTED_PERIODS * drv[PERIOD_S]:  # a long run says no more than a short one
         drv[SEEN] = min(drv[SEEN] + 1.0, REPEATS_SAMPLES)
         drv[REPEATS] += ((1.0 if same_h else 0.0) - drv[REPEATS]) / drv[SEEN]
     stuck_a, stuck_h = drv[SAME_ATTITUDE_S] > most_s, drv[SAME_HEADING_S] > most_s
