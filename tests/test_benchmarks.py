@@ -22,6 +22,7 @@ SCRIPTS = {
     "cold_start": ("no other software", ()),
     "day": ("filterpy", ("live", "replay")),
     "faults": ("without a fault", ("missions", "outcomes", "service")),
+    "faults_random": ("without the fault", ()),
     "fuzz": ("no other software", ()),
     "gliders": ("plain dead reckoning", ()),
     "gnss_heading": ("no other software", ()),

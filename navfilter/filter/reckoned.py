@@ -174,9 +174,12 @@ def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
 
 
 def opened_again(filter: Filter, size: float) -> Change | None:
-    """The same for a velocity that drives and goes on to be wrong by this much [m/s], as that of a log whose sign has
-    changed, or whatever a compass does to it that follows no turn: constants that it has are opened, and wander.
+    """The same for a log that drives and goes on to be wrong by this much [m/s], because its sign has changed, or the
+    compass follows no turn: constants that it has are opened, and wander. Its current takes a part of what is wrong, so
+    that no angle is right. Of a velocity over ground the compass takes it all, and gives it back.
     """
+    if not filter.in_force.drive.wandering():
+        return None
     speed = math.hypot(*filter.memory.nav[3:6].tolist())
     size = min(size, speed + float(most_speed(speed, filter.vehicle.drive.max_speed_m_s)))
     models, memory = filter.in_force.drive.models, filter.memory
