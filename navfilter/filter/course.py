@@ -203,14 +203,16 @@ def rather_drawn(angle: float, speed: float) -> bool:
     return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
 
 
-def of_one_way(course: Course, fixes: Channel, share: float) -> bool:
-    """Whether fixes may have made the way reckoned, turned by one angle or drawn off at one velocity: else what is
-    wrong has become another meanwhile, as that of a compass which follows no turn does. `share` as in `seen_turned`.
+def of_one_way(course: Course, fixes: Channel, believed: Callable[[float, float], bool], share: float) -> bool:
+    """Whether fixes may have made the way reckoned, turned by one angle, or drawn off at one velocity where that is
+    rather believed: else what is wrong has become another meanwhile, as that of a compass which follows no turn does.
+    `believed` and `share` as in `seen_turned`.
     """
     if course.count < 3:
         return True
-    _, size, _, *beside = course.fitted()
-    return min(beside) < MISSES**2 * (_noise(fixes) + share * size)
+    angle, size, _, turned, drawn = course.fitted()
+    noise = _noise(fixes) + share * size
+    return turned < FITS**2 * noise or (believed(angle, 0.0) and drawn < MISSES**2 * noise)
 
 
 def _reckons(channel: Channel) -> bool:

@@ -104,7 +104,7 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     beside = max(0.0, direction(filter) - constant) + wanders
     turn = seen_turned(course, fixes, beside, drawn, share, constant)
     if turn is None:
-        if not of_one_way(course, fixes, share):
+        if not of_one_way(course, fixes, drawn, share):
             kept.reckoned = _from_here(latitude, longitude, way, time_s)
         return None
     turn, kept.reckoned = (turn[0], turn[1] + flows), None
