@@ -320,17 +320,3 @@ def test_a_log_that_errs_slowly_and_a_compass_that_jumps_far(dive):
     rows, _ = fly((slow, mission), wrong)
     assert max(row[1] for row in rows) < 100.0
     assert all(row[2] < 4.0 * row[4] and row[1] < 4.0 * row[3] for row in rows[-30:])
-
-
-def test_a_log_that_fixes_beat_twice_gets_a_constant():
-    """With the sign changed, for good, beside fixes and their course: every ten seconds the state was opened to them,
-    and was wrong for the next ten.
-    """
-    plain, end_s = reckoning_vehicle().with_error(gps=nf.White(sd=0.2)), 500.0
-    log = nf.WaterVelocity(rate_hz=4.0, error=nf.White(sd=0.01), current_sd_m_s=0.1, current_tau_s=8000.0)
-    drive = nf.DeadReckoning(rate_hz=4.0, attitude=plain.drive.attitude, velocity=log)
-    vehicle = nf.Vehicle(drive, {**plain.sensors, "course": nf.Course()})
-    mission = simulate(vehicle, lawnmower(end_s), seed=2, duration_s=end_s)
-    rows, _ = fly((vehicle, mission), velocity(events_of(vehicle, mission), lambda v, t: -v, 120.0))
-    late = np.array([(row[1], row[3]) for row in rows if row[0] > 200.0])
-    assert np.mean(late[:, 0] > 4.0 * late[:, 1]) < 0.2 and np.median(late[:, 0]) < 1.0

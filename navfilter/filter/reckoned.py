@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
 from navfilter.filter.course import Course, direction, of_one_way, rather_drawn, seen_turned
-from navfilter.filter.offsets import has_offset, offset_states, wanders, with_offsets
-from navfilter.filter.refused_way import most_speed
+from navfilter.filter.offsets import has_offset, offset_states, with_offsets
 from navfilter.kernels import strapdown
 from navfilter.sensors.velocity import FLOWS_M_S
 
@@ -29,15 +28,13 @@ if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
 
-__all__ = ["Reckoned", "contradicted", "opened_again", "opened_velocity", "take_up"]
+__all__ = ["Reckoned", "contradicted", "opened_velocity", "take_up"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
 APART_S = 60.0
 #: A velocity sensor has been used so lately at most [s].
 RECENT_S = 5.0
-#: A velocity that has been opened and is beaten again is off by no constant: by another after about so long [s].
-WANDERS_S = 60.0
 #: A speed below this tells no share of it [m/s].
 SLOW = 0.1
 #: Of the drive's three angles.
@@ -171,26 +168,6 @@ def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
         if used and channel.sensor.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
     return None
-
-
-def opened_again(filter: Filter, size: float) -> Change | None:
-    """The same for a log that drives and goes on to be wrong by this much [m/s], because its sign has changed, or the
-    compass follows no turn: constants that it has are opened, and wander. Its current takes a part of what is wrong, so
-    that no angle is right. Of a velocity over ground the compass takes it all, and gives it back.
-    """
-    if not filter.in_force.drive.wandering():
-        return None
-    speed = math.hypot(*filter.memory.nav[3:6].tolist())
-    size = min(size, speed + float(most_speed(speed, filter.vehicle.drive.max_speed_m_s)))
-    models, memory = filter.in_force.drive.models, filter.memory
-    if not has_offset(models[3:]):
-        return opened_velocity(filter, size, speed)
-    first = filter.layout.drive.start + sum(model.block(filter.period_s).size for model in models[:3])
-    places = first + offset_states(models[3:], filter.period_s)
-    memory.P[places, places] += size**2
-    if wanders(models[3:]):
-        return None
-    return Change("velocity", with_offsets(models[3:], size, density=size / math.sqrt(WANDERS_S)), offsets=True)
 
 
 def take_up(filter: Filter, change: Change, tell: Listening) -> None:

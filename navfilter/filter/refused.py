@@ -45,8 +45,7 @@ __all__ = ["let_in", "take_up", "used"]
 Array = NDArray[np.float64]
 #: Below this speed a velocity that is off says nothing of its scale [m/s].
 SLOW = 0.1
-#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon. And
-#: what fixes have beaten twice in it is wrong for good.
+#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
 AGAIN_S = 120.0
 
 
@@ -111,7 +110,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         P[drive.slice, drive.slice] += drive.P0
         for other in filter.channels.values():
             if not math.isnan(other.memory.rejected_since_s):
-                _follows(filter, other, time_s)
+                _follows(other, time_s)
             other.memory.rejected_since_s, other.memory.agreed_s, other.memory.refused = math.nan, math.nan, None
         memory.counts["opened"] += 1
         return False
@@ -127,7 +126,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return False
     channel.R *= added.white_factor
     P[added.places, added.places] += added.covariance
-    _follows(filter, channel, time_s)
+    _follows(channel, time_s)
     P[:2, :2] += refused_way.followed(filter, channel)
     _update(filter, channel, time_s)
     return True
@@ -177,7 +176,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
         return False
     memory.P[:2, :2] += refused_way.followed(filter, channel)
-    _follows(filter, channel, time_s)
+    _follows(channel, time_s)
     velocity = reckoned.opened_velocity(filter, reckoned_since(channel, refused, speed), speed)
     filter.jumped += [] if velocity is None else [velocity]
     memory.counts["jumped"] += velocity is not None
@@ -347,18 +346,11 @@ def _runs_away(filter: Filter, channel: Channel, time_s: float) -> None:
     kept.refused = kept.aside = None
 
 
-def _follows(filter: Filter, channel: Channel, time_s: float) -> None:
-    """Remember that the state is set to fixes against what was believed before: they may be what was wrong. Dead
-    reckoning that nothing but its own readings holds, and that they beat again so soon, goes on to be wrong: its
-    velocity is opened by what it has come to be off by since.
-    """
+def _follows(channel: Channel, time_s: float) -> None:
+    """Remember that the state is set to fixes against what was believed before: they may be what was wrong."""
     if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
         before_m, before_s = channel.memory.beat or (0.0, -math.inf)
         off_m = math.hypot(*np.nan_to_num(channel.res[:2]).tolist())
-        if not filter.inertial and 0.0 < time_s - before_s < AGAIN_S:
-            change = reckoned.opened_again(filter, off_m / (time_s - before_s))
-            filter.jumped += [] if change is None else [change]
-            filter.memory.counts["jumped"] += change is not None
         channel.memory.beat = max(off_m, before_m if time_s - before_s < FOLLOWED_S else 0.0), float(time_s)
 
 
