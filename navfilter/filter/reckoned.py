@@ -96,15 +96,14 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     water = bool(filter.in_force.drive.wandering()) and course.drawn_m_s() < FLOWS_M_S
     drawn = (lambda angle, speed: True) if water else rather_drawn
     wanders, constant = float(memory.drv[strapdown.SPREAD + YAW]) ** 2, float(memory.P[8, 8])
-    flows = _flows(memory)
+    flows, across = _flows(memory), max(0.0, direction(filter) - constant)
     share = _faster(memory) + wanders + flows
-    beside = max(0.0, direction(filter) - constant) + wanders
-    turn = seen_turned(course, fixes, beside, drawn, share, constant)
+    turn = seen_turned(course, fixes, wanders, drawn, share, constant + across)
     if turn is None:
         if not of_one_way(course, fixes, drawn, share):
             kept.reckoned = _from_here(latitude, longitude, way, time_s)
         return None
-    turn, kept.reckoned = (turn[0], turn[1] + flows), None
+    turn, kept.reckoned = (turn[0], turn[1] + flows + across), None
     memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
     memory.counts["reset"] += 1
     memory.counts["jumped"] += 1
