@@ -457,7 +457,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         drv[194] += (again - drv[194]) / drv[195]
     stuck, held = drv[131] > most_s, drv[193] > most_s and drv[194] < 0.1 and drv[195] >= 100.0
     drv[131] = drv[193] if held else drv[131]
-    gained, drv[133:136] = sample[4:7] - drv[133:136], sample[4:7]
+    gained, going, drv[133:136] = sample[4:7] - drv[138:141], drv[141] >= 0 and drv[130] == 0, sample[4:7]
     missing = missing or drv[132] > most_s
     blind = stuck or not np.isfinite(sample[1:4]).all()
     if started and not blind:
@@ -471,8 +471,10 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         if not odd:
             drv[138:141], drv[141] = sample[4:7], 0.0
     per = 1.0 / span if started and span > 0 else 0.0
-    if not missing and np.isfinite(gained).all():
-        drv[149:155], drv[156] = _evenly(drv[152:155], per * M @ gained, per**2 * noise[3:].sum())
+    if not missing and going:
+        drv[149:155], drv[156], drv[197] = _evenly(
+            drv[152:155], drv[197], per * M @ gained, per**2 * noise[3:].sum(), span
+        )
     elif missing:
         drv[149:152] = 0.0
     held = held and not blind
@@ -512,12 +514,14 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     axes = np.zeros((3, 3)) if blind else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, (not held) * DOWN])
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
     turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
+    spin = np.zeros(3)
     if blind:
         drv[143:146], drv[155] = 0.0, drv[64]
     else:
-        drv[64], rate = per * np.linalg.norm(turned), per * _body_angles(roll, pitch) @ turned
-        drv[143:149], drv[155] = _evenly(drv[146:149], rate, per**2 * noise[:3].sum())
-    w = per * (l1 - l0)
+        shake = per * _body_angles(*sample[1:3])
+        drv[64], spin = per * np.linalg.norm(turned), shake @ turned
+        drv[143:149], drv[155], drv[196] = _evenly(drv[146:149], drv[196], spin, per**2 * noise[:3].sum(), span)
+    w = C @ np.cross(spin, arm)
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
         B = C @ C0.T
@@ -535,23 +539,21 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     for j in range(3):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
-        J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - per * moved, a
+        J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - np.cross(a, w), a
     J[:3, 3:] = half * J[3:6, 3:]
     if flow >= 0:
         F[3:6, 9 + flow : 11 + flow] = (np.eye(3) - (B if missing else 0.0))[:, :2]
     F[:3] = half * F[3:6] + np.eye(3, m)
     F[:3, 3:6] += half * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)
-    F[3:6, 6:9] -= per * skew(l0)
     if blind:
         # the attitude's error stays: it turns velocity and arm
-        by_turn = -skew(u) + per * skew(l1)
-        F[3:6, 6:9] += by_turn
+        F[3:6, 6:9] -= skew(u)
         F[:3, 6:9] += -half * skew(u) + skew(l1)
         F[6:9, 6:9] += np.eye(3)
     if held:
         row = _bearing(C0 @ NORTH)[1]
-        F[3:6, 6:9] += np.outer((per * skew(l1) - skew(u)) @ DOWN, row)
+        F[3:6, 6:9] += np.outer(skew(w - u) @ DOWN, row)
         F[:3, 6:9] += np.outer((skew(l1) - half * skew(u)) @ DOWN, row)
         F[8, 6:9] += row
     if dev >= 0:
@@ -563,17 +565,26 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         here, held_turn = slice(9 + lever, 12 + lever), C @ C0.T @ seen0 if missing else np.zeros((3, 3))
         square = 0.0 if blind else turned @ turned
         told = square / (square + 100.0 * noise[:3].sum()) if square else 0.0
-        F[3:6, here] += held_turn - told * per * (C - C0)
+        swing = C @ skew(spin)
+        F[3:6, here] += held_turn - told * swing
         F[:3, here] += half * (held_turn + seen0) - turn1
-        drv[78:87], drv[178:187] = per * (C - C0).ravel(), told * per * (C - C0).ravel()
+        drv[78:87], drv[178:187] = swing.ravel(), told * swing.ravel()
     F[:3, :3] += span * _curvature(v0, nav[0], *nav[15:17])
-    made = half * (v0 + w0 + u + current) - l1 + l0
+    gains, known = np.cross(drv[143:146], C.T @ u) + drv[149:152], per and span <= 3 * drv[36]
+    bent, drv[198:201] = drv[198:201].copy(), span**2 / 12.0 * C @ gains if known else 0.0
+    made = half * (v0 + w0 + u + current) - l1 + l0 + bent - drv[198:201]
     drv[127:129] += made[:2]
     _move(nav, made)
     nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u + current - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
     _tick_drive(acc, F, xd, Phid, Qd, _ticks(span, drv[36]))
     Q, walk = acc[m : 2 * m], drv[40] ** 2 * span * np.eye(3)
     Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
+    if not blind and per:
+        unseen, G = 0.125 * drv[196], np.zeros((9, 3))
+        G[:3], G[3:6] = -half * C @ skew(arm), C @ skew(arm)
+        Q[:9, :9] += G @ (shake @ np.diag(noise[:3]) @ shake.T + unseen * np.eye(3)) @ G.T
+        both = G @ shake @ np.diag(Cr[:3, k]) @ J[:, :3].T
+        Q[:9, :9] += both + both.T
     if blind:
         Q[6:9, 6:9] += unread * np.diag([0.1**2, 0.1**2, 0.35**2])
     if held:
@@ -591,11 +602,12 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:2, :2] += np.eye(2) * 0.35**2 * (nav[3] ** 2 + nav[4] ** 2) * span**3 / 12.0
 
 
-def _evenly(before, now, variance):
-    """As far as it stands out of its noise, and as it is; by how much it was another before."""
-    square = now @ now
+def _evenly(before, usual, now, variance, span):
+    """As far as it stands out of its noise, and as it is; by how much it was another before; what is usual of that."""
+    square, other = now @ now, np.linalg.norm(now - before)
     share = 1.0 - variance / square if square > variance else 0.0
-    return np.r_[share * now, now], np.linalg.norm(now - before)
+    usual += min(1.0, span / 60.0) * (other**2 - 3.0 * variance - usual)
+    return np.r_[share * now, now], other, max(0.0, usual)
 
 
 def _hold_on(nav, xd, drv, dt):
@@ -665,10 +677,12 @@ def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
         v[:2] -= xd[int(drv[125]) :][:2]
     # position, velocity and attitude by a turn, and by a change of the velocity: what the next sample makes of it
     arm, half = drv[44:47] + (xd[int(drv[67]) :][:3] if drv[67] >= 0 else 0.0), drv[12] - 0.5 * drv[36]
-    swing = 1.5 * nav[6:15].reshape(3, 3) @ arm + 0.5 * drv[36] * drv[56:59]
+    swing = nav[6:15].reshape(3, 3) @ arm + 0.5 * drv[36] * drv[56:59]
     turned = np.vstack([skew(swing) - half * skew(v), -skew(v), np.eye(3)])
     gained = np.eye(9)[:, 3:6] + half * np.eye(9, 3)
-    acc[m : m + 9, :9] += longer * (drv[155] ** 2 * turned @ turned.T + drv[156] ** 2 * gained @ gained.T)
+    acc[m : m + 9, :9] += longer * (
+        (drv[155] ** 2 + drv[196]) * turned @ turned.T + (drv[156] ** 2 + drv[197]) * gained @ gained.T
+    )
 
 
 # --- kernels/measurement.py: residual, and derivative of the reading

@@ -140,7 +140,8 @@ def check(drive, noise, seeds):
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("drive", ["imu", "reckoning"])
 def test_errors_are_what_the_covariance_says(drive, noise):
-    check(drive, noise, 10)
+    # Attitudes that drive are the same readings forward and smoothed, so that ten draws outside their band count twice.
+    check(drive, noise, 20)
 
 
 @pytest.mark.slow

@@ -187,6 +187,7 @@ class DeadReckoning(Mechanisation):
         drv = super().memory(first_parameter, start)
         drv[strapdown.HOLD_DENSITY] = self.hold_density
         drv[strapdown.GOOD_S] = -1.0
+        drv[strapdown.TURN_USUAL], drv[strapdown.SPEED_USUAL] = strapdown.TURN_BEGUN**2, strapdown.SPEED_BEGUN**2
         names = [p.name for p in self.parameters()]
         for place, name in FIRST_PARAMETERS.items():
             drv[place] = first_parameter + names.index(name) if name in names else -1
