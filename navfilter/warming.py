@@ -147,6 +147,7 @@ def _compile_prompt() -> None:
     if not settings.DISABLE_JIT:
         stretch.prompt.compile(addresses.PROMPT)
         listen.is_within.compile(addresses.WITHIN)
+        listen.told_since.compile(addresses.TOLD_SINCE)
         kalman.turns_along.compile(addresses.ALONG)
         kalman.turn_velocity.compile(addresses.TURN)
 

@@ -94,6 +94,25 @@ def test_what_is_near_does_not_depart(told):
     assert np.mean(near[:250]) > 0.5 and not all(near)
 
 
+@pytest.mark.parametrize("k", [1, 2, 5, 12])
+def test_what_constants_were_told_since_is_the_twins(k):
+    """Also where most directions were told nothing, or the same: then eigenvectors are anything."""
+    rng = np.random.default_rng(k)
+    for told in (k, max(1, k // 2), 0):
+        sd = 10.0 ** rng.uniform(-3.0, 3.0, k)
+        H = np.eye(k)[:told] if rng.random() < 0.3 else rng.standard_normal((told, k))
+        x, P, at = rng.standard_normal(9 + k), np.zeros((18 + k, 18 + k)), 9 + rng.permutation(k + 9)[:k]
+        x, before = np.append(x, np.zeros(9)), np.outer(sd, sd) * np.eye(k)
+        P[np.ix_(at, at)] = np.outer(sd, sd) * np.linalg.inv(np.eye(k) + H.T @ H)
+        x[at - 9] *= sd
+        estimate = 0.1 * sd * rng.standard_normal(k)
+        ours, twins = np.empty((2, 2, k + 1, k))
+        found = listen.told_since(x, P, at, estimate, before, 0.003, *ours)
+        expected = naive.told_since(x, P, at, estimate, before, 0.003, *twins)
+        assert found == pytest.approx(expected, rel=1e-9)
+        np.testing.assert_array_equal(ours[0], twins[0])
+
+
 def test_constants_that_nothing_tells_do_not_speak():
     filter = with_constants()
     assert departure(filter) == 0.0

@@ -17,6 +17,7 @@ __all__ = [
     "PROMPT",
     "SMOOTH_RUN",
     "STRETCH",
+    "TOLD_SINCE",
     "TURN",
     "WITHIN",
     "address",
@@ -77,6 +78,8 @@ PROMPT = (
 )
 #: The same for `navfilter.kernels.listen.is_within`.
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
+#: The same for `navfilter.kernels.listen.told_since`.
+TOLD_SINCE = (_ROW, _TABLE, _PLACES, _ROW, _TABLE, types.float64, _TABLE, _TABLE)
 #: The same for `navfilter.kernels.kalman.turns_along` and `turn_velocity`.
 ALONG = (_TABLE, types.float64, types.float64)
 TURN = (_TABLE, _ROW, types.UniTuple(types.float64, 3), _ROW)

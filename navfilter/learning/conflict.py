@@ -69,16 +69,13 @@ def stretched(filter: Filter, before: Stretches, time_s: float) -> Stretches:
     been opened meanwhile, or hardly told, does not count.
     """
     at = filter.layout.constants[0]
-    estimate, covariance = filter.x[at - 9].copy(), filter.P[np.ix_(at, at)].copy()
     if before.time_s == math.inf or before.estimate.size != at.size:
-        return Stretches(time_s, estimate, covariance)
+        return Stretches(time_s, filter.x[at - 9], filter.P[np.ix_(at, at)])
     if before.time_s >= time_s or not at.size:
         return before
-    sd = np.sqrt(np.maximum(before.covariance.diagonal(), 1e-300))
-    told, axes = np.linalg.eigh((before.covariance - covariance) / np.outer(sd, sd))
-    change, counts = axes.T @ ((estimate - before.estimate) / sd), told > HARDLY_TOLD
-    length = before.length + float(np.sum(change[counts] ** 2 / told[counts]))
-    return Stretches(time_s, estimate, covariance, length, before.freedom + float(counts.sum()))
+    now, lost = np.empty((2, at.size + 1, at.size))
+    told = listen.told_since(filter.x, filter.P, at, before.estimate, before.covariance, HARDLY_TOLD, now, lost)
+    return Stretches(time_s, now[0], now[1:], before.length + told[0], before.freedom + told[1])
 
 
 def is_better(described: Filter, learnt: Filter, told: Stretches) -> bool:
