@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.filter import shifts
 from navfilter.filter.events import Outcome
 from navfilter.filter.history import Reading
-from navfilter.kernels import listen, strapdown, stretch
+from navfilter.kernels import strapdown, stretch
 from navfilter.learning.kept import COLUMNS
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Prompt", "prompts"]
 
 Array = NDArray[np.float64]
+_FLOAT = np.dtype(np.float64)
 _NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
 _NO_HEADS, _NO_VALUES = np.empty((0, COLUMNS)), np.empty((0, 1))
 
@@ -50,7 +51,8 @@ class Prompt:
         most, size = sensor.plain
         self._facts, self._plain = np.zeros(stretch.FACTS_SIZE), np.zeros(size)
         self._facts[stretch.LARGEST], self._facts[stretch.TILTED] = most, nav.vehicle.drive.gravity
-        self._is_plain, self._as_of, self._waiting = most > 0.0, -1, nav.learning.worker.waiting
+        self._plain_size, self._as_of = sensor.reads if most > 0.0 else -1, -1
+        self._waiting = nav.learning.worker.waiting
 
     def take(self, stamp_s: float, value: ArrayLike, busy: bool = False) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
@@ -63,7 +65,7 @@ class Prompt:
             Enough has been done before it already: a checkpoint can wait for the next one.
         """
         try:
-            z, stamp_s = np.array(value, dtype=np.float64, ndmin=1), float(stamp_s)
+            z, stamp_s = np.array(value, _FLOAT, ndmin=1), float(stamp_s)
         except (TypeError, ValueError):
             return None
         nav = self._nav
@@ -71,58 +73,61 @@ class Prompt:
             if not self._is_ready():
                 return None
             busy = True
-        memory, watch, raw = self._memory, self._watch, z.tobytes()
+        memory, watch, kept, size, raw = self._memory, self._watch, self._kept, len(z), z.tobytes()
         shift = memory.intake.offset_s
         time_s = stamp_s + (shift - self._offset_s)
         early_s = time_s - memory.time_s
         if raw == watch.value or not (early_s >= -stretch.SAME_S and time_s - memory.sample_s <= self._ahead_s):
             return None
-        if z.ndim > 1 or len(z) < self._reads or not nav.clock.passes(self._name, stamp_s):
+        if size < self._reads or z.ndim > 1 or not nav.clock.passes(self._name, stamp_s):
             return None
-        looks = time_s >= self._due_s and time_s >= shifts.due_s(self._filter)
+        looks = False
         if time_s >= self._due_s:
+            looks = time_s >= shifts.due_s(self._filter)
             if self._is_early(time_s, busy or looks):
                 return self.take(stamp_s, value, True)  # from what is in hand now
             busy = True
-        kept, read, plain = self._kept, self._plain, len(z) == self._reads and self._is_plain
-        hand, full = self._hand, False
-        counts = (0, 0, 0) if kept is None else (kept.samples.count, kept.readings.count, kept.values.count)
-        why = stretch.prompt(*hand, memory.recent, z, read, True, time_s, early_s, *counts) if plain else None
-        if why is None or why == stretch.REFUSED:
-            asked = self._read(z)
+        why, full = stretch.REFUSED, False
+        if kept is None:
+            place = time_s, early_s, 0, 0, 0
+        else:
+            place = time_s, early_s, kept.samples.count, kept.readings.count, kept.values.count
+        if size == self._plain_size:
+            read = self._plain
+            why, nis, dof, mean_nis = stretch.prompt(*self._hand, memory.recent, z, read, True, *place)
+        if why == stretch.REFUSED:
+            asked, hand = self._read(z), self._hand
             if asked is None:
                 return None
-            if kept is not None and not kept.has_room(len(z)):
-                hand, full = (*hand[:-2], _NO_HEADS, _NO_VALUES), True
             read = asked
-            why = stretch.prompt(*hand, memory.recent, z, read, False, time_s, early_s, *counts)
+            if kept is not None and not kept.has_room(size):
+                hand, full = (*hand[:-2], _NO_HEADS, _NO_VALUES), True
+            why, nis, dof, mean_nis = stretch.prompt(*hand, memory.recent, z, read, False, *place)
             if why == stretch.REFUSED:
                 return None
         # ---- from here on it is taken
         memory.unfolded, watch.value = 0, raw
         if early_s > stretch.SAME_S and memory.drv.item(strapdown.STARTED):
             memory.time_s = time_s
-        channel, given = self._channel, Reading(self._name, time_s, z, None)
-        if full and kept is not None:
+        given = Reading(self._name, time_s, z, None)
+        if full:
             kept.append(given)
             nav.changes += 1  # the pieces in hand are others now
         elif kept is not None:
             kept.readings.count += 1
-            kept.values.count += len(z)
+            kept.values.count += size
         if why == stretch.JUDGED:
-            channel.reading, channel.count = read.copy(), int(self._facts[stretch.TICKED])
-            correction = self._filter.concluded(channel, time_s, False)
-            nav.told(correction, z)
-            outcome = correction.outcome
-            watch.note(outcome.status, time_s, outcome.nis, outcome.dof, memory.nav)
+            outcome, looks = self._judged(given, read), True
         else:
-            channel.stuck = channel.stale = False
-            nis, dof, _ = channel.verdict.tolist()
-            outcome = Outcome("used", nis, int(dof))
+            outcome = Outcome("used", nis, dof)
+            if busy:
+                self._channel.stuck = self._channel.stale = False
             if self._learning is not None:
-                self._learn(why)
-                busy = busy or why == stretch.LEARN
-        if looks or why == stretch.JUDGED:
+                self._learning.nis = mean_nis
+                if why == stretch.LEARN:
+                    self._learn()
+                    busy = True
+        if looks:
             self._filter.take_up(nav.told)
         self._history.note(given, shift)
         if nav.beginning.twin is not None:
@@ -131,15 +136,22 @@ class Prompt:
             nav.learning.worker.turn()
         return outcome
 
-    def _learn(self, why: int) -> None:
-        """Take note of how the reading fared in learning, and of what is due there."""
+    def _judged(self, given: Reading, read: Array) -> Outcome:
+        """What becomes of a reading that a gate has refused; read: what the kernel has taken."""
+        channel, nav = self._channel, self._nav
+        channel.reading, channel.count = read.copy(), int(self._facts[stretch.TICKED])
+        correction = self._filter.concluded(channel, given.time_s, False)
+        nav.told(correction, given.value)
+        outcome = correction.outcome
+        self._watch.note(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
+        return outcome
+
+    def _learn(self) -> None:
+        """Do what is due in learning behind a reading."""
         nav = self._nav
-        assert self._learning is not None
-        self._learning.nis = self._ear.item(listen.NIS)
-        if why == stretch.LEARN:
-            nav.changes += 1
-            for change in nav.learning.learn(self._name):
-                nav.filter.adopt(change, nav.told)
+        nav.changes += 1
+        for change in nav.learning.learn(self._name):
+            nav.filter.adopt(change, nav.told)
 
     def _is_early(self, time_s: float, busy: bool) -> bool:
         """Do what comes before a reading of this time, and see when more of it is due; whether what is in hand has
@@ -186,7 +198,7 @@ class Prompt:
             *(filter.Phid, filter.Qd, filter.drive_output, facts),
             *(learning.fed_back, channel.places, ear, ring, cursor, self._watch.figures, heads, values),
         )
-        self._as_of = nav.changes
+        self._as_of = -1 if channel.stuck or channel.stale else nav.changes  # after a reading that is not it is neither
         return True
 
 

@@ -1936,7 +1936,9 @@ def prompt(
     readings,
     numbers,
 ):
-    """0: used, 2: nothing has been done, 3: not used, 6: used, and there is something to learn."""
+    """0: used, 2: nothing has been done, 3: not used, 6: used, and there is something to learn; then NIS, components,
+    and the mean NIS of the ear.
+    """
     i, kept_as, period, most, dive, gravity, learn, _ = facts
     i, spot, at_, n = int(i), plan[int(i)], numbers % 1024, len(z)
     begins = [own[15] + own[26] + 3 + 2 * own[0] for own in plan[:-1]]
@@ -1946,7 +1948,7 @@ def prompt(
     dived = dive < t - noted[2] < np.inf
     full = len(heads) and (readings % 1024 == 0 or at_ == 0 or at_ + n > 1024)
     if (plain and not simple) or t in last[i:] or t < last[i] or dived or full:
-        return 2
+        return 2, 0.0, 0, 0.0
     if plain:
         read[:] = np.r_[z, np.full(len(read) - n, np.nan)]
     if len(heads):
@@ -1964,14 +1966,15 @@ def prompt(
     nis, dof, used, *residual = mem[spot[26] :][: 3 + a]
     if not used or (spot[28] and dof < np.isfinite(residual).sum()):
         facts[7] = count
-        return 3
+        return 3, nis, dof, 0.0
     noted[2] = t
     _fared(figures, t, nis, dof, nav)
     if not undone.size:
-        return 0
+        return 0, nis, dof, ear[6]
     C = bench[spot[20] :][: a * errors].reshape(a, errors)
     listen(undone, mem, spot[:8], where, nav, C, x, int(ear[0]), ear[9:], ring, cursor, count, Cr, float(gravity))
-    return 6 if ear[0] and attend(ear, nis, dof, count, t >= learn) else 0
+    due = ear[0] and attend(ear, nis, dof, count, t >= learn)
+    return 6 if due else 0, nis, dof, ear[6]
 
 
 def _fared(watched, t, nis, dof, nav):

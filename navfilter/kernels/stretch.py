@@ -533,6 +533,7 @@ def prompt(sources):
         """One reading live, by the same kernels as those of a replay in `stretch`, and all that is noted of it:
         `REFUSED`, and nothing has been done, where its sensor has to be asked, it is not the next one, or a piece of
         what is kept is full; `JUDGED` where it was not used, and Python says what follows; else `DONE`, or `LEARN`.
+        Behind that its NIS and components, and the mean NIS of the ear.
 
         facts: see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `listen`; places:
         `kalman.places`; figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept (empty
@@ -544,13 +545,13 @@ def prompt(sources):
         i = int(facts[CHANNEL])
         own, spot = plan[i], plan[plan.shape[0] - 1]
         if (plain and not _as_it_is(z, facts[LARGEST], read)) or not _is_next(bench, plan, i, time_s, facts[DIVE_S]):
-            return REFUSED
+            return REFUSED, 0.0, 0, 0.0
         a, m, errors, verdict = own[0], acc.shape[1], own[5], own[MEM] + own[VERDICT]
         noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
         if heads.shape[0] > 0:
             at, first = kept_readings % heads.shape[0], kept_values % heads.shape[0]
             if at == 0 or first == 0 or first + z.size > heads.shape[0]:
-                return REFUSED
+                return REFUSED, 0.0, 0, 0.0
             row = heads[at]
             for j in range(z.size):
                 values[first + j, 0] = z[j]
@@ -568,7 +569,7 @@ def prompt(sources):
         note = bench[verdict : verdict + 3 + a]
         if note[2] == 0.0 or (own[PARTLY] and _partly(note, a)):
             facts[TICKED] = count
-            return JUDGED
+            return JUDGED, note[0], int(note[1]), 0.0
         noted[TAKEN_S] = time_s
         _fared(figures, time_s, note[0], note[1], nav)
         if undone.size > 0:
@@ -577,8 +578,8 @@ def prompt(sources):
             listen.listen(undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED])
             learning = time_s >= facts[LEARNT_S]
             if kind != listen.NOTHING and listen.attend(ear, note[0], note[1], count, learning):
-                return LEARN
-        return DONE
+                return LEARN, note[0], int(note[1]), ear[listen.NIS]
+        return DONE, note[0], int(note[1]), ear[listen.NIS]
 
     return prompt
 
