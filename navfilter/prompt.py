@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,6 @@ from navfilter.filter import shifts
 from navfilter.filter.events import Outcome
 from navfilter.filter.history import Reading
 from navfilter.kernels import strapdown, stretch
-from navfilter.learning.kept import COLUMNS
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -25,7 +24,7 @@ __all__ = ["Prompt", "prompts"]
 Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 _NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
-_NO_HEADS, _NO_VALUES = np.empty((0, COLUMNS)), np.empty((0, 1))
+_NOT_KEPT = 0, -1, 0  # by the kernel
 
 
 class Prompt:
@@ -53,6 +52,8 @@ class Prompt:
         self._facts[stretch.LARGEST], self._facts[stretch.TILTED] = most, nav.vehicle.drive.gravity
         self._plain_size, self._as_of = sensor.reads if most > 0.0 else -1, -1
         self._waiting = nav.learning.worker.waiting
+        self._arrays: tuple[NDArray[Any] | None, ...] = (None,) * stretch.HAND
+        self._hand = np.empty((stretch.HAND, 3), np.int64)
 
     def take(self, stamp_s: float, value: ArrayLike, busy: bool = False) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
@@ -87,22 +88,20 @@ class Prompt:
             if self._is_early(time_s, busy or looks):
                 return self.take(stamp_s, value, True)  # from what is in hand now
             busy = True
-        why, full = stretch.REFUSED, False
-        if kept is None:
-            place = time_s, early_s, 0, 0, 0
-        else:
-            place = time_s, early_s, kept.samples.count, kept.readings.count, kept.values.count
+        why, place, full = stretch.REFUSED, _NOT_KEPT, False
+        if kept is not None:
+            place = kept.samples.count, kept.readings.count, kept.values.count
         if size == self._plain_size:
             read = self._plain
-            why, nis, dof, mean_nis = stretch.prompt(*self._hand, memory.recent, z, read, True, *place)
+            why, nis, dof, mean_nis = stretch.prompt(self._hand, memory.recent, z, read, True, time_s, early_s, *place)
         if why == stretch.REFUSED:
-            asked, hand = self._read(z), self._hand
+            asked = self._read(z)
             if asked is None:
                 return None
             read = asked
             if kept is not None and not kept.has_room(size):
-                hand, full = (*hand[:-2], _NO_HEADS, _NO_VALUES), True
-            why, nis, dof, mean_nis = stretch.prompt(*hand, memory.recent, z, read, False, *place)
+                place, full = _NOT_KEPT, True
+            why, nis, dof, mean_nis = stretch.prompt(self._hand, memory.recent, z, read, False, time_s, early_s, *place)
             if why == stretch.REFUSED:
                 return None
         # ---- from here on it is taken
@@ -177,7 +176,7 @@ class Prompt:
         known, kept = channel.spot.item(stretch.EQUATION), learning.beginning
         if channel.doubted or not (known and channel.memory.agrees) or nav.waiting.readings or learning.is_waiting:
             return False
-        heads, values = _NO_HEADS, _NO_VALUES
+        heads = values = _NO_RING
         if kept is not None:
             if not kept.values.pieces:
                 return False
@@ -193,11 +192,15 @@ class Prompt:
         facts[stretch.CHANNEL], facts[stretch.TICK_S] = list(filter.channels).index(self._name), channel.period_s
         facts[stretch.DIVE_S], facts[stretch.LEARNT_S] = channel.dive_s, learning.learning_s
         channel.gate[:] = channel.limits
-        self._hand = (
-            *(filter.bench, filter.plan, memory.nav, memory.x, memory.P, memory.acc, memory.drv),
-            *(filter.Phid, filter.Qd, filter.drive_output, facts),
-            *(learning.fed_back, channel.places, ear, ring, cursor, self._watch.figures, heads, values),
+        arrays = (
+            *(filter.bench, memory.nav, memory.x, memory.drv, facts, learning.fed_back, ear, self._watch.figures),
+            *(memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output, ring, heads, values),
+            *(filter.plan, channel.places, cursor),
         )
+        for k, (array, before) in enumerate(zip(arrays, self._arrays, strict=True)):
+            if array is not before:
+                self._hand[k] = array.__array_interface__["data"][0], array.size // array.shape[-1], array.shape[-1]
+        self._arrays = arrays  # they stay where they are while the kernel knows them
         self._as_of = -1 if channel.stuck or channel.stale else nav.changes  # after a reading that is not it is neither
         return True
 

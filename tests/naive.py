@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from navfilter.kernels import addresses
 from navfilter.kernels import strapdown as strapdown_kernels
+from navfilter.kernels.decorators import standing
 
 # ---------------------------------------------------------------- kernels/arma.py: one online step (no gaps, no guard)
 
@@ -1906,39 +1907,25 @@ def heeded(w, nav, P, period_s):
     return True
 
 
-def prompt(
-    bench,
-    plan,
-    nav,
-    x,
-    P,
-    acc,
-    drv,
-    Phid,
-    Qd,
-    Cr,
-    facts,
-    undone,
-    where,
-    ear,
-    ring,
-    cursor,
-    figures,
-    heads,
-    values,
-    recent,
-    z,
-    read,
-    plain,
-    t,
-    early,
-    samples,
-    readings,
-    numbers,
-):
+IN_HAND = (
+    *("bench", "nav", "x", "drv", "facts", "undone", "ear", "figures", "P", "acc", "Phid", "Qd", "Cr", "ring"),
+    *("heads", "values", "plan", "places", "cursor"),
+)
+
+
+def in_hand(hand):
+    """The arrays by name, from where they stand."""
+    held = [standing(hand, k, np.float64 if k < 16 else np.int64) for k in range(len(hand))]
+    return {name: a[0] if k < 8 or k > 16 else a for k, (name, a) in enumerate(zip(IN_HAND, held, strict=True))}
+
+
+def prompt(hand, recent, z, read, plain, t, early, samples, readings, numbers):
     """0: used, 2: nothing has been done, 3: not used, 6: used, and there is something to learn; then NIS, components,
     and the mean NIS of the ear.
     """
+    bench, nav, x, drv, facts, undone, ear, figures, P, acc, Phid, Qd, Cr, ring, heads, values, plan, where, cursor = (
+        in_hand(hand).values()
+    )
     i, kept_as, period, most, dive, gravity, learn, _ = facts
     i, spot, at_, n = int(i), plan[int(i)], numbers % 1024, len(z)
     begins = [own[15] + own[26] + 3 + 2 * own[0] for own in plan[:-1]]
@@ -1946,12 +1933,13 @@ def prompt(
     noted = bench[begins[i] : begins[i] + 4]
     simple = np.all(np.abs(z) <= most) and np.any(z)
     dived = dive < t - noted[2] < np.inf
-    full = len(heads) and (readings % 1024 == 0 or at_ == 0 or at_ + n > 1024)
+    keeps = readings >= 0
+    full = keeps and (readings % 1024 == 0 or at_ == 0 or at_ + n > 1024)
     if (plain and not simple) or t in last[i:] or t < last[i] or dived or full:
         return 2, 0.0, 0, 0.0
     if plain:
         read[:] = np.r_[z, np.full(len(read) - n, np.nan)]
-    if len(heads):
+    if keeps:
         values[at_ : at_ + n, 0] = z
         heads[readings % 1024] = t, kept_as, 0.0, 0.0, samples, numbers + n
     figures[:2] = 1.0, t

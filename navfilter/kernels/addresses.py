@@ -72,9 +72,8 @@ STRETCH = (
 )
 #: The same for `navfilter.kernels.stretch.prompt`.
 PROMPT = (
-    *(_ROW, _MATRIX_OF_PLACES, _ROW, _ROW, _TABLE, _TABLE, _ROW, _TABLE, _TABLE, _TABLE),
-    *(_ROW, _ROW, _PLACES, _ROW, _TABLE, _PLACES, _ROW, _TABLE, _TABLE),
-    *(_TABLE, _ROW, _ROW, types.boolean, types.float64, types.float64, *(types.int64,) * 3),
+    *(_MATRIX_OF_PLACES, _TABLE, _ROW, _ROW),
+    *(types.boolean, types.float64, types.float64, *(types.int64,) * 3),
 )
 #: The same for `navfilter.kernels.listen.is_within`.
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)

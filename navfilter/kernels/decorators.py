@@ -6,6 +6,7 @@ a symbol, which is defined when they are compiled, and again before they are loa
 are called in loops are better copied.
 """
 
+import ctypes
 import functools
 import hashlib
 import importlib
@@ -15,6 +16,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numba
+import numpy as np
 from numba import config, types
 from numba.core import cgutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -25,7 +27,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["apart", "flat", "njit", "shaped"]
+__all__ = ["apart", "flat", "njit", "shaped", "standing"]
 
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
@@ -104,6 +106,21 @@ def flat(matrix: Any) -> Any:
     return matrix.reshape(matrix.size)
 
 
+def standing(hand: Any, k: int, kind: Any) -> Any:
+    """A matrix of this kind (`numpy.float64` or `numpy.int64`): a view like that of `shaped`. Row k of `hand` says
+    where it stands, its rows and columns. Each array that Python hands to a kernel costs half as much as a line of it.
+    """
+    at, rows, columns = hand[k].tolist()
+    size = rows * columns * np.dtype(kind).itemsize
+    return np.frombuffer((ctypes.c_char * size).from_address(at), kind).reshape(rows, columns)
+
+
+@infer_global(standing)
+class _Standing(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.Array(args[2].dtype, 2, "C"), *map(types.unliteral, args))
+
+
 @infer_global(shaped)
 class _Shaped(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
@@ -116,13 +133,13 @@ class _Flat(AbstractTemplate):
         return signature(types.Array(args[0].dtype, 1, "C"), *args)
 
 
-def _view(context: Any, builder: Any, sig: Any, of: Any, lengths: Sequence[Any]) -> Any:
+def _view(context: Any, builder: Any, sig: Any, data: Any, itemsize: Any, lengths: Sequence[Any]) -> Any:
     """An array of these lengths, row by row, where another one begins."""
-    view, strides = make_array(sig.return_type)(context, builder), [of.itemsize]
+    view, strides = make_array(sig.return_type)(context, builder), [itemsize]
     for length in reversed(lengths[1:]):
         strides.insert(0, builder.mul(length, strides[0]))
     shape, strides = (cgutils.pack_array(builder, values) for values in (lengths, strides))
-    populate_array(view, data=of.data, shape=shape, strides=strides, itemsize=of.itemsize, meminfo=None)
+    populate_array(view, data=data, shape=shape, strides=strides, itemsize=itemsize, meminfo=None)
     return view._getvalue()
 
 
@@ -130,13 +147,23 @@ def _view(context: Any, builder: Any, sig: Any, of: Any, lengths: Sequence[Any])
 def _build_shaped(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     of = make_array(sig.args[0])(context, builder, value=args[0])
     lengths = [context.cast(builder, *of, types.intp) for of in zip(args[1:], sig.args[1:], strict=True)]
-    return _view(context, builder, sig, of, lengths)
+    return _view(context, builder, sig, of.data, of.itemsize, lengths)
 
 
 @lower_builtin(flat, types.Array)
 def _build_flat(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     of = make_array(sig.args[0])(context, builder, value=args[0])
-    return _view(context, builder, sig, of, [builder.mul(*cgutils.unpack_tuple(builder, of.shape))])
+    return _view(context, builder, sig, of.data, of.itemsize, [builder.mul(*cgutils.unpack_tuple(builder, of.shape))])
+
+
+@lower_builtin(standing, types.Array, types.Integer, types.Any)
+def _build_standing(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    hand, kind = make_array(sig.args[0])(context, builder, value=args[0]), sig.return_type.dtype
+    first = builder.mul(context.cast(builder, args[1], sig.args[1], types.intp), context.get_constant(types.intp, 3))
+    where = [builder.add(first, context.get_constant(types.intp, column)) for column in range(3)]
+    at, *lengths = [builder.load(builder.gep(hand.data, [place])) for place in where]
+    data = builder.inttoptr(at, context.get_data_type(kind).as_pointer())
+    return _view(context, builder, sig, data, context.get_constant(types.intp, kind.bitwidth // 8), lengths)
 
 
 class _Lean(CompilerBase):

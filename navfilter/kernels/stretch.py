@@ -7,8 +7,10 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
+import numpy as np
+
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, shifts, strapdown
-from navfilter.kernels.decorators import apart, flat, njit, shaped
+from navfilter.kernels.decorators import apart, flat, njit, shaped, standing
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -75,6 +77,8 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 # its period; up to which value readings are taken as they are; without a fix for how long its vehicle has dived; what a
 # tilt turns into acceleration, and from when on it is learnt from readings (see `listen`); ticks of the last reading.
 CHANNEL, KEPT_AS, TICK_S, LARGEST, DIVE_S, TILTED, LEARNT_S, TICKED, FACTS_SIZE = range(9)
+# So many arrays are handed to `prompt` by where they stand.
+HAND = 19
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
@@ -500,47 +504,38 @@ def _is_next(sources):
 @_keyed
 def prompt(sources):
     @njit(cache=True, **UNCOUNTED)
-    def prompt(
-        bench,
-        plan,
-        nav,
-        x,
-        P,
-        acc,
-        drv,
-        Phid,
-        Qd,
-        Cr,
-        facts,
-        undone,
-        places,
-        ear,
-        ring,
-        cursor,
-        figures,
-        heads,
-        values,
-        recent,
-        z,
-        read,
-        plain,
-        time_s,
-        early_s,
-        kept_samples,
-        kept_readings,
-        kept_values,
-    ):
+    def prompt(hand, recent, z, read, plain, time_s, early_s, kept_samples, kept_readings, kept_values):
         """One reading live, by the same kernels as those of a replay in `stretch`, and all that is noted of it:
         `REFUSED`, and nothing has been done, where its sensor has to be asked, it is not the next one, or a piece of
         what is kept is full; `JUDGED` where it was not used, and Python says what follows; else `DONE`, or `LEARN`.
         Behind that its NIS and components, and the mean NIS of the ear.
 
-        facts: see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `listen`; places:
-        `kalman.places`; figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept (empty
-        where none are), see `navfilter.learning.kept`, and how many samples, readings and values these are; z: what
-        arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is older.
-        The others are those of `correction`.
+        hand (HAND, 3): where arrays stand, their rows and columns, in the order in which they are taken here. facts:
+        see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `listen`; places: `kalman.places`;
+        figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept, see
+        `navfilter.learning.kept`, and how many samples, readings (-1: none are kept here) and values these are. z: what
+        arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is older. The
+        others are those of `correction`.
         """
+        bench = flat(standing(hand, 0, np.float64))
+        nav = flat(standing(hand, 1, np.float64))
+        x = flat(standing(hand, 2, np.float64))
+        drv = flat(standing(hand, 3, np.float64))
+        facts = flat(standing(hand, 4, np.float64))
+        undone = flat(standing(hand, 5, np.float64))
+        ear = flat(standing(hand, 6, np.float64))
+        figures = flat(standing(hand, 7, np.float64))
+        P = standing(hand, 8, np.float64)
+        acc = standing(hand, 9, np.float64)
+        Phid = standing(hand, 10, np.float64)
+        Qd = standing(hand, 11, np.float64)
+        Cr = standing(hand, 12, np.float64)
+        ring = standing(hand, 13, np.float64)
+        heads = standing(hand, 14, np.float64)
+        values = standing(hand, 15, np.float64)
+        plan = standing(hand, 16, np.int64)
+        places = flat(standing(hand, 17, np.int64))
+        cursor = flat(standing(hand, 18, np.int64))
         _ = sources
         i = int(facts[CHANNEL])
         own, spot = plan[i], plan[plan.shape[0] - 1]
@@ -548,7 +543,7 @@ def prompt(sources):
             return REFUSED, 0.0, 0, 0.0
         a, m, errors, verdict = own[0], acc.shape[1], own[5], own[MEM] + own[VERDICT]
         noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
-        if heads.shape[0] > 0:
+        if kept_readings >= 0:
             at, first = kept_readings % heads.shape[0], kept_values % heads.shape[0]
             if at == 0 or first == 0 or first + z.size > heads.shape[0]:
                 return REFUSED, 0.0, 0, 0.0
