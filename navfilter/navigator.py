@@ -188,10 +188,11 @@ class Navigator(Running):
         Outcome
             Never an exception: whatever arrives has a defined outcome.
         """
-        if not (isinstance(name, str) and name in self.watches):
-            return Outcome("unknown-sensor")
-        if sd is None and (prompt := self._prompts.get(name)) and (outcome := prompt.take(time_s, value)):
+        known = isinstance(name, str)
+        if known and sd is None and (prompt := self._prompts.get(name)) and (outcome := prompt.take(time_s, value)):
             return outcome
+        if not (known and name in self.watches):
+            return Outcome("unknown-sensor")
         try:
             z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):

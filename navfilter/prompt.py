@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Prompt", "prompts"]
 
 Array = NDArray[np.float64]
-_FLOAT = np.dtype(np.float64)
+_FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
 _NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
 _NOT_KEPT = 0, -1, 0  # by the kernel
 
@@ -108,8 +108,8 @@ class Prompt:
         memory.unfolded, watch.value = 0, raw
         if early_s > stretch.SAME_S and memory.drv.item(strapdown.STARTED):
             memory.time_s = time_s
-        given = Reading(self._name, time_s, z, None)
-        if full:
+        given = _made(Reading, (self._name, time_s, z, None, False, False))
+        if full and kept is not None:
             kept.append(given)
             nav.changes += 1  # the pieces in hand are others now
         elif kept is not None:
@@ -118,7 +118,7 @@ class Prompt:
         if why == stretch.JUDGED:
             outcome, looks = self._judged(given, read), True
         else:
-            outcome = Outcome("used", nis, dof)
+            outcome = _made(Outcome, ("used", nis, dof, False))
             if busy:
                 self._channel.stuck = self._channel.stale = False
             if self._learning is not None:
