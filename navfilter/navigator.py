@@ -28,7 +28,7 @@ from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Worker
 from navfilter.navigator_memory import MEMORY, NavigatorMemory, check_watches
-from navfilter.prompt import prompts
+from navfilter.prompt import prompt_sample, prompts
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -111,7 +111,7 @@ class Navigator(Running):
         self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
         self.waiting, self._row, self.changes = Waiting(), np.empty((1, 7)), 0  # of anything but by ordinary inputs
         self.behind = {name: names[i + 1 :] for i, name in enumerate(names)}
-        self._prompts = prompts(self)
+        self._prompts, self._sample = prompts(self), prompt_sample(self)
 
     # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -164,7 +164,7 @@ class Navigator(Running):
         self._carry(samples)
 
     def _carry(self, samples: Array) -> None:
-        if len(samples):
+        if len(samples) and not (self._sample and self._sample.take(samples)):
             self.beginning.give(samples)
             (self if self.history is None else self.history).feed(samples)
 

@@ -1,4 +1,4 @@
-"""An ordinary reading live: one call of a kernel takes it, as in a replay one takes many."""
+"""An ordinary reading or sample live: one call of a kernel takes it, as in a replay one takes many."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from navfilter.filter import shifts
 from navfilter.filter.events import Outcome
 from navfilter.filter.history import Reading
 from navfilter.kernels import strapdown, stretch
+from navfilter.learning.kept import PIECE
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -19,12 +20,122 @@ if TYPE_CHECKING:
     from navfilter.learning.kept import Kept
     from navfilter.navigator import Navigator
 
-__all__ = ["Prompt", "prompts"]
+__all__ = ["Prompt", "PromptSample", "prompt_sample", "prompts"]
 
 Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
 _NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
 _NOT_KEPT = 0, -1, 0  # by the kernel
+
+
+class Hand:
+    """Arrays that a kernel is handed by where they stand.
+
+    Parameters
+    ----------
+    count : int
+
+    Attributes
+    ----------
+    table : ndarray of int, shape (count, 3)
+        See `navfilter.kernels.stretch.prompt`.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.table = np.empty((count, 3), np.int64)
+        self._arrays: list[NDArray[Any] | None] = [None] * count  # they live as long as they are in the table
+
+    def take(self, arrays: tuple[NDArray[Any], ...]) -> None:
+        """Take these in hand, in place of those before."""
+        known = self._arrays
+        for k, array in enumerate(arrays):
+            if array is not known[k]:
+                self.put(k, array)
+
+    def put(self, k: int, array: NDArray[Any]) -> None:
+        """Take one in hand, in place of another."""
+        *rows, columns = array.shape
+        self.table[k] = array.__array_interface__["data"][0], rows[0] if rows else 1, columns
+        self._arrays[k] = array
+
+
+class PromptSample:
+    """Takes samples that come one by one, to the last bit as `History.feed` does, where nothing is to be decided but by
+    the kernel: they follow each other, and neither a fold nor a checkpoint is due.
+
+    Parameters
+    ----------
+    nav : Navigator
+        With a history, and a drive of whose samples nothing is felt or learnt.
+    """
+
+    _memory: FilterMemory
+    _kept: Kept | None
+
+    def __init__(self, nav: Navigator) -> None:
+        assert nav.history is not None
+        self._nav, self._history, self._as_of, self._most = nav, nav.history, -1, nav.filter.fold_every - 1
+        self._hand = Hand(stretch.HELD_FOR_SAMPLES)
+        self._spans = np.array([*nav.filter.intake.spans, nav.filter.period_s])
+
+    def take(self, samples: Array) -> bool:
+        """Whether these are an ordinary sample (1, 7), and have been taken; else nothing has been done."""
+        nav, history = self._nav, self._history
+        if len(samples) != 1:
+            self._as_of = -1
+            return False
+        if fresh := nav.changes != self._as_of:
+            self._is_ready()
+        memory, kept = self._memory, self._kept
+        intake = memory.intake
+        shift, given = intake.offset_s, samples.copy()
+        if memory.unfolded >= self._most or memory.time_s - history.marked_s >= history.RARE_S:
+            why = stretch.REFUSED
+        else:
+            at = -1 if kept is None else kept.samples.count % PIECE
+            if not at and kept is not None:
+                self._hand.put(stretch.PIECE, kept.samples.room()[0])
+            why = stretch.sample(self._hand.table, samples, intake.before_s, shift, at)
+        if why == stretch.REFUSED:
+            self._as_of = -1  # what is done then, `changes` does not tell of
+            return False
+        time_s = given.item(0) + shift
+        memory.time_s = memory.sample_s = intake.before_s = time_s
+        memory.unfolded += 1
+        if memory.recent.size:
+            memory.recent = np.concatenate([samples, memory.recent[:-1]])
+        if kept is not None:
+            kept.samples.count += 1
+        if fresh:
+            nav.filter.intake.taken(0)
+        history.note(given, shift)
+        if nav.beginning.twin is not None:
+            nav.beginning.follow(given)
+        if why == stretch.HEED:
+            self._as_of = -1
+            nav.filter.heed(nav.told)
+        return True
+
+    def _is_ready(self) -> None:
+        """Take in hand what the kernel needs."""
+        nav = self._nav
+        filter, memory, kept = nav.filter, nav.filter.memory, nav.learning.beginning
+        piece = _NO_RING if kept is None or not kept.samples.pieces else kept.samples.pieces[-1]
+        self._hand.take(
+            (
+                *(
+                    memory.nav,
+                    memory.x,
+                    memory.drv,
+                    self._spans,
+                    filter.intake.limits,
+                    filter.drive_sd,
+                    filter.watch.limits,
+                ),
+                *(memory.watch, memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output, piece, filter.plan),
+            )
+        )
+        self._memory, self._kept, self._as_of = memory, kept, nav.changes
 
 
 class Prompt:
@@ -52,8 +163,7 @@ class Prompt:
         self._facts[stretch.LARGEST], self._facts[stretch.TILTED] = most, nav.vehicle.drive.gravity
         self._plain_size, self._as_of = sensor.reads if most > 0.0 else -1, -1
         self._waiting = nav.learning.worker.waiting
-        self._arrays: tuple[NDArray[Any] | None, ...] = (None,) * stretch.HAND
-        self._hand = np.empty((stretch.HAND, 3), np.int64)
+        self._hand = Hand(stretch.HAND)
 
     def take(self, stamp_s: float, value: ArrayLike, busy: bool = False) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
@@ -88,12 +198,12 @@ class Prompt:
             if self._is_early(time_s, busy or looks):
                 return self.take(stamp_s, value, True)  # from what is in hand now
             busy = True
-        why, place, full = stretch.REFUSED, _NOT_KEPT, False
+        why, hand, place, full = stretch.REFUSED, self._hand.table, _NOT_KEPT, False
         if kept is not None:
             place = kept.samples.count, kept.readings.count, kept.values.count
         if size == self._plain_size:
             read = self._plain
-            why, nis, dof, mean_nis = stretch.prompt(self._hand, memory.recent, z, read, True, time_s, early_s, *place)
+            why, nis, dof, mean_nis = stretch.prompt(hand, memory.recent, z, read, True, time_s, early_s, *place)
         if why == stretch.REFUSED:
             asked = self._read(z)
             if asked is None:
@@ -101,7 +211,7 @@ class Prompt:
             read = asked
             if kept is not None and not kept.has_room(size):
                 place, full = _NOT_KEPT, True
-            why, nis, dof, mean_nis = stretch.prompt(self._hand, memory.recent, z, read, False, time_s, early_s, *place)
+            why, nis, dof, mean_nis = stretch.prompt(hand, memory.recent, z, read, False, time_s, early_s, *place)
             if why == stretch.REFUSED:
                 return None
         # ---- from here on it is taken
@@ -197,12 +307,16 @@ class Prompt:
             *(memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output, ring, heads, values),
             *(filter.plan, channel.places, cursor),
         )
-        for k, (array, before) in enumerate(zip(arrays, self._arrays, strict=True)):
-            if array is not before:
-                self._hand[k] = array.__array_interface__["data"][0], array.size // array.shape[-1], array.shape[-1]
-        self._arrays = arrays  # they stay where they are while the kernel knows them
+        self._hand.take(arrays)
         self._as_of = -1 if channel.stuck or channel.stale else nav.changes  # after a reading that is not it is neither
         return True
+
+
+def prompt_sample(nav: Navigator) -> PromptSample | None:
+    """That of a navigator, where samples may be ordinary ones."""
+    filter = nav.filter
+    plain = nav.history is not None and nav.learning.rest is None and not (filter.feels_after or filter.jumps.active)
+    return PromptSample(nav) if plain else None
 
 
 def prompts(nav: Navigator) -> dict[str, Prompt]:

@@ -138,7 +138,7 @@ def _compile_stretch() -> None:
 
 
 def _compile_prompt() -> None:
-    """What takes a single reading live, and what is asked now and then."""
+    """What takes a single reading or sample live, and what is asked now and then."""
     from numba import config
 
     from navfilter.kernels import addresses, kalman, listen, stretch
@@ -146,6 +146,7 @@ def _compile_prompt() -> None:
     settings: Any = config
     if not settings.DISABLE_JIT:
         stretch.prompt.compile(addresses.PROMPT)
+        stretch.sample.compile(addresses.SAMPLE)
         listen.is_within.compile(addresses.WITHIN)
         listen.told_since.compile(addresses.TOLD_SINCE)
         kalman.turns_along.compile(addresses.ALONG)

@@ -1907,16 +1907,33 @@ def heeded(w, nav, P, period_s):
     return True
 
 
-IN_HAND = (
-    *("bench", "nav", "x", "drv", "facts", "undone", "ear", "figures", "P", "acc", "Phid", "Qd", "Cr", "ring"),
-    *("heads", "values", "plan", "places", "cursor"),
-)
+IN_HAND = {
+    19: "bench nav x drv facts undone ear figures P acc Phid Qd Cr ring heads values plan places cursor",
+    15: "nav x drv spans limits sd ends watch P acc Phid Qd Cr piece plan",
+}
+TABLES = ["P", "acc", "Phid", "Qd", "Cr", "ring", "heads", "values", "watch", "piece", "plan"]
 
 
 def in_hand(hand):
     """The arrays by name, from where they stand."""
-    held = [standing(hand, k, np.float64 if k < 16 else np.int64) for k in range(len(hand))]
-    return {name: a[0] if k < 8 or k > 16 else a for k, (name, a) in enumerate(zip(IN_HAND, held, strict=True))}
+    names = IN_HAND[len(hand)].split()
+    held = [standing(hand, k, np.int64 if n in ("plan", "places", "cursor") else float) for k, n in enumerate(names)]
+    return {name: array if name in TABLES else array[0] for name, array in zip(names, held, strict=True)}
+
+
+def sample(hand, samples, before, offset, row):
+    """0: taken, 2: nothing has been done, 5: the watch over the drive has found something."""
+    nav, x, drv, (gap, doubt, period), limits, sd, ends, w, P, acc, Phid, Qd, Cr, piece, plan = in_hand(hand).values()
+    moved = samples + np.eye(1, 7) * offset
+    if moved[0, 0] - before > gap or stamps_to_steps(moved, before, limits, gap, doubt) != 0:
+        return 2
+    if row >= 0:
+        piece[row] = samples
+    samples[:] = moved
+    if len(w):
+        look(samples, w, sd, ends, period, drv[strapdown_kernels.INCREMENTS] != 0)
+    at(plan[-1, 8])(nav, x[: acc.shape[1] - 9], drv, samples, Phid, Qd, Cr, acc, np.empty((0, 0)))
+    return 5 if len(w) and w[6, 1] and not heeded(w, nav, P, period) else 0
 
 
 def prompt(hand, recent, z, read, plain, t, early, samples, readings, numbers):
@@ -1927,21 +1944,21 @@ def prompt(hand, recent, z, read, plain, t, early, samples, readings, numbers):
         in_hand(hand).values()
     )
     i, kept_as, period, most, dive, gravity, learn, _ = facts
-    i, spot, at_, n = int(i), plan[int(i)], numbers % 1024, len(z)
+    i, spot, at_, n = int(i), plan[int(i)], numbers % len(heads), len(z)
     begins = [own[15] + own[26] + 3 + 2 * own[0] for own in plan[:-1]]
     last = [bench[begin] for begin in begins]
     noted = bench[begins[i] : begins[i] + 4]
     simple = np.all(np.abs(z) <= most) and np.any(z)
     dived = dive < t - noted[2] < np.inf
     keeps = readings >= 0
-    full = keeps and (readings % 1024 == 0 or at_ == 0 or at_ + n > 1024)
+    full = keeps and (readings % len(heads) == 0 or at_ == 0 or at_ + n > len(heads))
     if (plain and not simple) or t in last[i:] or t < last[i] or dived or full:
         return 2, 0.0, 0, 0.0
     if plain:
         read[:] = np.r_[z, np.full(len(read) - n, np.nan)]
     if keeps:
         values[at_ : at_ + n, 0] = z
-        heads[readings % 1024] = t, kept_as, 0.0, 0.0, samples, numbers + n
+        heads[readings % len(heads)] = t, kept_as, 0.0, 0.0, samples, numbers + n
     figures[:2] = 1.0, t
     a, m, errors = spot[0], acc.shape[1], spot[5]
     holds = early > 1e-7 and drv[13] != 0

@@ -305,6 +305,42 @@ def test_prompt_is_its_twin(monkeypatch):
     assert any(early) and not all(early)
 
 
+def test_sample_is_its_twin(monkeypatch):
+    """Live, with what is kept of the beginning, a clock that was set, a gap, a spike and a value that cannot be."""
+    ours, reasons, kept = kernels.sample, [], set()
+
+    def both(hand, samples, before_s, offset_s, at):
+        held, given = naive.in_hand(hand), samples.copy()
+        copies, where = {name: array.copy() for name, array in held.items()}, hand.copy()
+        where[:, 0] = [array.ctypes.data for array in copies.values()]
+        found = ours(hand, samples, before_s, offset_s, at)
+        assert found == naive.sample(where, given, before_s, offset_s, at)
+        assert_close([samples], [given], 1e-12)
+        for name in ("nav", "drv", "watch", "piece"):
+            assert_close([held[name]], [copies[name]], 1e-8)
+        head = 2 * held["acc"].shape[1]
+        assert_close([held["acc"][:head]], [copies["acc"][:head]], 1e-8)  # the rest is work space
+        reasons.append(found)
+        kept.add(at >= 0)
+        return found
+
+    monkeypatch.setattr(kernels, "sample", both)
+    vehicle, mission = survey(20.0)
+    for learns in (False, True):
+        error = nf.LearnedArma(orders=[(0, 0)]) if learns else nf.White(sd=0.01)
+        nav = nf.Navigator(vehicle.with_error(compass=error), mission.start)
+        for event in events_of(vehicle, mission):
+            time_s = event.time_s - 3.0 * (event.time_s > 9.0)
+            if event.sensor != "drive":
+                nav.correct(event.sensor, time_s, event.value)
+            elif not 5.0 < event.time_s < 5.5:
+                spike = {12.0: 1e6, 15.0: 5.0}.get(round(event.time_s, 3), 0.0)
+                nav.step(time_s, np.add(event.value[:3], spike), event.value[3:])
+    assert {kernels.DONE, kernels.REFUSED, kernels.HEED} == set(reasons)
+    assert reasons.count(kernels.DONE) > 0.9 * len(reasons) > 2000
+    assert kept == {False, True} and nav.health.clock_offset_s == pytest.approx(3.0, abs=0.02)
+
+
 def test_correction_is_its_twin_for_every_kind(monkeypatch):
     ours, kinds, counts = kernels.correction, set(), set()
 

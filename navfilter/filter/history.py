@@ -80,11 +80,11 @@ class History:
         self._log: list[Array | Reading] = []
         self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
         self._first = 0  # number of the first input in the log
-        self._marked_s = -math.inf
+        self.marked_s = -math.inf
 
     def change_places(self, other: History) -> None:
         """Have the past of another run over the same inputs, and that this one's."""
-        for name in ("_marks", "_log", "_shifts", "_first", "_marked_s"):
+        for name in ("_marks", "_log", "_shifts", "_first", "marked_s"):
             own = getattr(self, name)
             setattr(self, name, getattr(other, name))
             setattr(other, name, own)
@@ -101,13 +101,13 @@ class History:
 
     def ready(self, now: float, spacing_s: float = SPACING_S) -> None:
         """Before an input: keep a checkpoint where one is due."""
-        if now - self._marked_s >= spacing_s:
+        if now - self.marked_s >= spacing_s:
             self._mark(now)
 
     @property
     def due_s(self) -> float:
         """When the next checkpoint before a reading is due [s]."""
-        return self._marked_s + self.SPACING_S
+        return self.marked_s + self.SPACING_S
 
     def note(self, item: Array | Reading, shift: float) -> None:
         """Behind an input: keep it, and by how much stamps were moved."""
@@ -116,7 +116,7 @@ class History:
 
     def _mark(self, now: float) -> None:
         """Keep a checkpoint of the present, and forget what lies too far back."""
-        self._marked_s = now
+        self.marked_s = now
         self._marks.append((now, self._first + len(self._log), copied(self.run.memory)))
         old = 0
         while old + 1 < len(self._marks) and self._marks[old + 1][0] <= now - self.length_s:
@@ -142,7 +142,7 @@ class History:
         again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
         self.replayed_s += self.run.time_s - marked_s
         del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
-        self._marked_s = self._marks[-1][0] if self._marks else -math.inf
+        self.marked_s = self._marks[-1][0] if self._marks else -math.inf
         self.run.memory = memory
         result: Outcome | None = None
         for item in _in_place(again, shifts, reading, self.sensors):

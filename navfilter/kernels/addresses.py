@@ -15,6 +15,7 @@ from numba.extending import intrinsic
 __all__ = [
     "ALONG",
     "PROMPT",
+    "SAMPLE",
     "SMOOTH_RUN",
     "STRETCH",
     "TOLD_SINCE",
@@ -75,6 +76,8 @@ PROMPT = (
     *(_MATRIX_OF_PLACES, _TABLE, _ROW, _ROW),
     *(types.boolean, types.float64, types.float64, *(types.int64,) * 3),
 )
+#: The same for `navfilter.kernels.stretch.sample`.
+SAMPLE = (_MATRIX_OF_PLACES, _TABLE, types.float64, types.float64, types.int64)
 #: The same for `navfilter.kernels.listen.is_within`.
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
 #: The same for `navfilter.kernels.listen.told_since`.

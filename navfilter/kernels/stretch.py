@@ -77,8 +77,8 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 # its period; up to which value readings are taken as they are; without a fix for how long its vehicle has dived; what a
 # tilt turns into acceleration, and from when on it is learnt from readings (see `listen`); ticks of the last reading.
 CHANNEL, KEPT_AS, TICK_S, LARGEST, DIVE_S, TILTED, LEARNT_S, TICKED, FACTS_SIZE = range(9)
-# So many arrays are handed to `prompt` by where they stand.
-HAND = 19
+# So many arrays are handed to `prompt`, and to `sample`, by where they stand; which of these is what is kept.
+HAND, HELD_FOR_SAMPLES, PIECE = 19, 15, 13
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
@@ -415,6 +415,56 @@ def _carried(sources):
         return DONE
 
     return _carried
+
+
+@_keyed
+def sample(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def sample(hand, samples, before_s, offset_s, at):
+        """One sample live, by the same kernels as those of a replay in `stretch`: `DONE`, or `HEED` where the watch
+        over the drive has found something; `REFUSED`, and nothing has been done, where it does not follow the last one.
+
+        hand (HELD_FOR_SAMPLES, 3): where arrays stand, as for `prompt`. spans: silence that is a gap, silence that is
+        in doubt, period; limits: of its values; sd, ends: standard deviations and limits by which the watch looks;
+        piece: the last one of the samples that are kept, and in which row of it this one is (-1: none are kept).
+        samples (1, 7): stamp and values, as they came; before_s: stamp of the last one, moved by `offset_s`, as this
+        one will be.
+        """
+        _ = sources
+        nav = flat(standing(hand, 0, np.float64))
+        x = flat(standing(hand, 1, np.float64))
+        drv = flat(standing(hand, 2, np.float64))
+        spans = flat(standing(hand, 3, np.float64))
+        limits = flat(standing(hand, 4, np.float64))
+        sd = flat(standing(hand, 5, np.float64))
+        ends = flat(standing(hand, 6, np.float64))
+        w = standing(hand, 7, np.float64)
+        P = standing(hand, 8, np.float64)
+        acc = standing(hand, 9, np.float64)
+        Phid = standing(hand, 10, np.float64)
+        Qd = standing(hand, 11, np.float64)
+        Cr = standing(hand, 12, np.float64)
+        piece = standing(hand, 13, np.float64)
+        plan = standing(hand, 14, np.int64)
+        stamp_s, gap_s, doubt_s, period_s = samples[0, 0], spans[0], spans[1], spans[2]
+        samples[0, 0] += offset_s
+        late = samples[0, 0] - before_s > gap_s
+        if late or strapdown.stamps_to_steps(samples, before_s, limits, gap_s, doubt_s) != 0:
+            samples[0, 0] = stamp_s
+            return REFUSED
+        if at >= 0:
+            piece[at, 0] = stamp_s
+            for j in range(1, 7):
+                piece[at, j] = samples[0, j]
+        steps = drv[strapdown.INCREMENTS] > 0.0
+        if w.shape[0] > 0:
+            drive_watch.look(samples, w, sd, ends, period_s, steps)
+        spot, xd = plan[plan.shape[0] - 1], x[: acc.shape[1] - 9]
+        addresses.at_steps(spot[STEPS], (nav, xd, drv, samples, Phid, Qd, Cr, acc, acc[:0]))
+        news = w.shape[0] > 0 and w[drive_watch.UNIT, drive_watch.NEWS] != 0.0
+        return HEED if news and not heeded(w, nav, P, period_s) else DONE
+
+    return sample
 
 
 @_keyed

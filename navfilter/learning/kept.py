@@ -20,7 +20,7 @@ __all__ = ["Kept", "Rows"]
 
 Array = NDArray[np.float64]
 #: Rows of a piece.
-PIECE = 1024
+PIECE = 2048
 #: Columns of what is kept of a reading: its time, the number of its sensor, whether it was frozen, and the same; how
 #: many samples came before it, and how many values there are of it and those before.
 TIME_S, SENSOR, FROZEN, AS_BEFORE, BEFORE, VALUES, COLUMNS = range(7)
@@ -48,7 +48,7 @@ class Rows:
             return
         taken = 0
         while taken < len(rows):
-            piece, at = self._room()
+            piece, at = self.room()
             some = rows[taken : taken + PIECE - at]
             piece[at : at + len(some)] = some
             taken += len(some)
@@ -58,11 +58,11 @@ class Rows:
         """Add one."""
         at = self.count % PIECE
         if not at:
-            self._room()
+            self.room()
         self.pieces[-1][at] = row
         self.count += 1
 
-    def _room(self) -> tuple[Array, int]:
+    def room(self) -> tuple[Array, int]:
         """Where the next row stands."""
         i, at = divmod(self.count, PIECE)
         if i == len(self.pieces):
