@@ -7,6 +7,7 @@ import sys
 import numba
 import numpy as np
 import pytest
+from feeding import events_of, one_by_one
 from numba.core.types.functions import BaseFunction
 
 import navfilter as nf
@@ -87,9 +88,18 @@ def test_what_is_compiled_ahead_is_what_a_replay_calls():
     assert kalman.smooth_run.signatures == [addresses.SMOOTH_RUN]
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_what_is_compiled_ahead_is_what_is_called_live():
+    vehicle, mission = simulate_scenario("thesis", 1, 20.0)
+    nav = nf.Navigator(vehicle, mission.start)
+    one_by_one(nav, events_of(vehicle, mission))
+    assert stretch.prompt.signatures == [addresses.PROMPT]
+    assert stretch.sample.signatures == [addresses.SAMPLE]
+
+
 def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
     if not numba.config.DISABLE_JIT:
-        assert compilation.kernel_count("listen") == 5
+        assert compilation.kernel_count("listen") == 6
 
 
 GRAM = """

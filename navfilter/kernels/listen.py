@@ -73,7 +73,7 @@ def is_within(x, P, at, mean, variance, limit):
     return moved < limit * told
 
 
-@njit(cache=True, **UNCOUNTED)
+@njit(cache=True, inline="always", **UNCOUNTED)
 def _turned(one, other, cosine, sine):
     """Two numbers, turned in their plane."""
     return cosine * one - sine * other, sine * one + cosine * other
