@@ -78,7 +78,11 @@ class Rows:
 
     def shared(self) -> Rows:
         """The same, from now on by itself."""
-        return Rows(self.width, self.count, [*self.pieces[:-1], *(piece.copy() for piece in self.pieces[-1:])])
+        pieces = list(self.pieces)
+        if pieces:
+            taken, pieces[-1] = self.count - PIECE * (len(pieces) - 1), np.empty((PIECE, self.width))
+            pieces[-1][:taken] = self.pieces[-1][:taken]
+        return Rows(self.width, self.count, pieces)
 
     def whole(self, count: int) -> Array:
         """The first of them, shape (count, width); a copy."""
