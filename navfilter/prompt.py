@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ __all__ = ["Prompt", "PromptSample", "prompt_sample", "prompts"]
 Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
 _NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
+_HELD = _FLOAT, np.dtype(np.int64)
 _NOT_KEPT = 0, -1, 0  # by the kernel
 
 
@@ -43,20 +45,21 @@ class Hand:
 
     def __init__(self, count: int) -> None:
         self.table = np.empty((count, 3), np.int64)
+        self._rows: list[tuple[int, int, int]] = [(0, 0, 0)] * count
         self._arrays: list[NDArray[Any] | None] = [None] * count  # they live as long as they are in the table
 
-    def take(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        """Take these in hand, in place of those before."""
+    def take(self, arrays: tuple[NDArray[Any], ...], first: int = 0) -> None:
+        """Take these in hand, from the first place on, instead of those that are there."""
         known = self._arrays
-        for k, array in enumerate(arrays):
-            if array is not known[k]:
-                self.put(k, array)
-
-    def put(self, k: int, array: NDArray[Any]) -> None:
-        """Take one in hand, in place of another."""
-        *rows, columns = array.shape
-        self.table[k] = array.__array_interface__["data"][0], rows[0] if rows else 1, columns
-        self._arrays[k] = array
+        others = [(k, array) for k, array in enumerate(arrays, first) if array is not known[k]]
+        for k, array in others:
+            known[k] = array
+            assert array.dtype in _HELD, "a kernel would read something else"
+            # an array's own ways to say this take five times as long; of one that is not row by row nothing is said
+            at = ctypes.addressof(ctypes.c_char.from_buffer(array.data)) if array.size else 0
+            self._rows[k] = at, len(array) if array.ndim > 1 else 1, array.shape[-1]
+        if others:
+            self.table[:] = self._rows
 
 
 class PromptSample:
@@ -94,7 +97,7 @@ class PromptSample:
         else:
             at = -1 if kept is None else kept.samples.count % PIECE
             if not at and kept is not None:
-                self._hand.put(stretch.PIECE, kept.samples.room()[0])
+                self._hand.take(kept.samples.room()[:1], stretch.PIECE)
             why = stretch.sample(self._hand.table, samples, intake.before_s, shift, at)
         if why == stretch.REFUSED:
             self._as_of = -1  # what is done then, `changes` does not tell of
@@ -121,20 +124,12 @@ class PromptSample:
         nav = self._nav
         filter, memory, kept = nav.filter, nav.filter.memory, nav.learning.beginning
         piece = _NO_RING if kept is None or not kept.samples.pieces else kept.samples.pieces[-1]
-        self._hand.take(
-            (
-                *(
-                    memory.nav,
-                    memory.x,
-                    memory.drv,
-                    self._spans,
-                    filter.intake.limits,
-                    filter.drive_sd,
-                    filter.watch.limits,
-                ),
-                *(memory.watch, memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output, piece, filter.plan),
-            )
+        arrays = (
+            *(memory.nav, memory.x, memory.drv, self._spans, filter.intake.limits, filter.drive_sd),
+            *(filter.watch.limits, memory.watch, memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output),
+            *(piece, filter.plan),
         )
+        self._hand.take(arrays)
         self._memory, self._kept, self._as_of = memory, kept, nav.changes
 
 
