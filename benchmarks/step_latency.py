@@ -1,8 +1,9 @@
 """How long one `step`, one `correct` and a start take in the vehicle's own loop, beside filterpy and python-ins.
 
-The standard hour, the compass's error learnt under way, is fed to a navigator reading by reading, every call timed by
-itself: once as Python comes, once after `gc.collect(); gc.freeze()`, and by the wall clock as well as by the thread's
-processor clock (on a machine that does other work too, the wall clock's highest percentiles are the scheduler's).
+The standard hour, the compass's error learnt under way (but with ``--plain``), is fed to a navigator reading by
+reading, every call timed by itself: once as Python comes, once after `gc.collect(); gc.freeze()`, and by the wall clock
+as well as by the thread's processor clock (on a machine that does other work too, the wall clock's highest percentiles
+are the scheduler's).
 
 filterpy: `KalmanFilter.predict` and `update` with matrices of the same size. python-ins: its feedback filter with one
 inertial sample per turn of its loop, mean of 25 samples (see `baselines`). Ratios are those of the medians.
@@ -247,10 +248,11 @@ def step_latency(options: Options) -> dict[str, Any]:
     minutes = 1.0 if options.quick else options.minutes
     base, mission = hour(minutes)
     prior = nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0)
-    vehicle = base.with_error(compass=nf.LearnedArma(prior=prior) + nf.White(sd=0.1 * DEG))
+    learnt = nf.LearnedArma(prior=prior) + nf.White(sd=0.1 * DEG)
+    vehicle = base if options.plain else base.with_error(compass=learnt)
     nf.warm_up()
     states = 9 + len(nf.Navigator(vehicle, mission.start).errors)
-    print(f"{minutes:g} min, {states} error states, compass learnt; microseconds per call")
+    print(f"{minutes:g} min, {states} error states{'' if options.plain else ', compass learnt'}; microseconds per call")
     table = Table("call<32 clock<9 p50>9.1f p99>9.1f p99.9>9.1f max>9.1f over_10_ms>10d")
     turns = 2 if options.quick else options.turns
     for row in navfilter_rows(vehicle, mission, turns):
@@ -291,6 +293,7 @@ if __name__ == "__main__":
         flag("--minutes", type=float, default=60.0),
         flag("--turns", type=int, default=5, help="runs of which each call's best is taken"),
         flag("--pace", type=float, default=10.0, help="speed of the run whose slowest calls are shown"),
+        flag("--plain", action="store_true", help="nothing is learnt"),
         flag("--no-start", action="store_true", help="leave out the starts"),
         quick("one minute, without the starts"),
     ]

@@ -73,14 +73,14 @@ def is_within(x, P, at, mean, variance, limit):
     return moved < limit * told
 
 
-@njit(cache=True, inline="always", **UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _turned(one, other, cosine, sine):
     """Two numbers, turned in their plane."""
     return cosine * one - sine * other, sine * one + cosine * other
 
 
 @apart
-@njit(cache=True, **UNCOUNTED)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def told_since(x, P, at, estimate, covariance, least, now, lost):
     """What constants have been told since their estimate (k,) and covariance (k, k) were such: the squares of their
     changes over the variance that each should have, and how many there are. That is along the eigenvectors of what the
@@ -108,8 +108,8 @@ def told_since(x, P, at, estimate, covariance, least, now, lost):
                     continue
                 beside += left[p, q] * left[p, q]
                 off = 0.5 * (left[q, q] - left[p, p]) / left[p, q]
-                tangent = math.copysign(1.0, off) / (abs(off) + math.hypot(off, 1.0))
-                cosine = 1.0 / math.hypot(tangent, 1.0)
+                tangent = (1.0 if off >= 0.0 else -1.0) / (abs(off) + math.sqrt(off * off + 1.0))
+                cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
                 sine = tangent * cosine
                 for i in range(k):
                     left[i, p], left[i, q] = _turned(left[i, p], left[i, q], cosine, sine)
