@@ -54,7 +54,8 @@ class Hand:
         others = [(k, array) for k, array in enumerate(arrays, first) if array is not known[k]]
         for k, array in others:
             known[k] = array
-            assert array.dtype in _HELD, "a kernel would read something else"
+            if array.dtype not in _HELD:
+                raise TypeError(f"kernels read numbers of float64 or int64, found {array.dtype}")
             # an array's own ways to say this take five times as long; of one that is not row by row nothing is said
             at = ctypes.addressof(ctypes.c_char.from_buffer(array.data)) if array.size else 0
             self._rows[k] = at, len(array) if array.ndim > 1 else 1, array.shape[-1]
