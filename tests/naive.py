@@ -498,6 +498,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     if late_a >= 0 or late_v >= 0:
         shown, last = (drv, sample[0], missing, Cr, Qd), np.r_[drv[59:62], drv[74:77]]
         late, seen = _change(68, sample[1:7] - last, *shown), _change(187, drv[163:169] - before, *shown)
+        seen[3:], drv[201:204] = drv[201:204].copy(), seen[3:].copy()
         drv[77], drv[74:77] = not missing, drv[74:77] if missing else sample[4:7]
     if late_a >= 0:
         E[:3, late_a] -= late[:3]

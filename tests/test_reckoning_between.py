@@ -141,3 +141,19 @@ def test_a_way_that_bends_is_not_cut_short():
     error = track.errors(mission.truth).position_n
     plane, down = np.sqrt(np.mean(error[:, :2] ** 2)), np.sqrt(np.mean(error[:, 2] ** 2))
     assert plane < 0.0015 and down < 0.0035
+
+
+def test_noise_of_a_log_does_not_tell_its_clock():
+    """Found by random vehicles: a log that drives at 8 Hz and scatters by 2 cm/s, a DVL beside it. Slopes that had the
+    noise of the reading which the DVL judges told its clock: 0.2 to 0.6 s early, by 15 of its sd.
+    """
+    log = nf.WaterVelocity(error=nf.White(sd=0.02), zero_is_invalid=False, current_sd_m_s=0.3, time_offset_sd_s=0.09)
+    bottom, fixes = nf.BodyVelocity(rate_hz=1.0, error=nf.White(sd=0.01)), nf.Position(rate_hz=1.0)
+    vehicle, off = reckoning(8.0, log, bottom=bottom, gps=fixes), []
+    for seed in range(4):
+        mission = simulate(vehicle, turns_and_dives(1200.0), seed=seed, duration_s=1200.0, start=WELL)
+        track = nf.replay(vehicle, mission)
+        drawn = next(float(note.split(" error ")[1]) for note in mission.notes if "time offset" in note)
+        place = track.state_names.index("velocity.time_offset")
+        off.append((track.states[-1, place] - drawn) / track.states_sd[-1, place])
+    assert np.mean(np.square(off)) < 4.0, off

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (201,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (204,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -94,9 +94,10 @@ SPREAD, STEADY, STEADY_C, STEADY_TURN, STEADY_CHANGE = 157, 163, 169, 178, 187
 # before, and how many these are.
 SAME_HEADING_S, REPEATS, SEEN = 193, 194, 195
 # Dead reckoning: mean squares of how much turn and change of velocity are others from one interval to the next
-# [rad^2/s^2], [m^2/s^4], and by how much the trapezoidal rule is ahead of the way [m] (3).
-TURN_USUAL, SPEED_USUAL, BENT = 196, 197, 198
-DRIVE_SIZE = 201
+# [rad^2/s^2], [m^2/s^4]; by how much the trapezoidal rule is ahead of the way [m] (3); and how fast the velocity
+# changed at the reading before, as its clock sees it (3).
+TURN_USUAL, SPEED_USUAL, BENT, SLOPES = 196, 197, 198, 201
+DRIVE_SIZE = 204
 # Slopes go to a new reading slowly, unless that is further off than so many sd of its errors [1].
 STEADY_SDS, FOLLOWED = 3.0, 0.02
 # What is usual is a mean over so long, two or three dives [s]; at first it is a turn and a push that AUVs begin with
@@ -1403,6 +1404,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 last[i], last[3 + i] = drv[PREVIOUS_RPY + i], drv[PREVIOUS_VELOCITY + i]
             _change(drv, CHANGE, samples[n, 1:7], last, span, missing, Cr, wander, late)
             _change(drv, STEADY_CHANGE, drv[STEADY : STEADY + 6], moved, span, missing, Cr, wander, seen)
+            # A sensor beside it sees the noise of this reading: were it in the slope, too, it would tell the clock,
+            # always to the same side (by half a second of one that scatters by 2 cm/s). How it changed before has none.
+            for i in range(3):
+                drv[SLOPES + i], seen[3 + i] = seen[3 + i], drv[SLOPES + i]
             for i in range(0 if missing else 3):
                 drv[PREVIOUS_VELOCITY + i] = samples[n, 4 + i]
             drv[KNOWN_VELOCITY] = 0.0 if missing else 1.0
