@@ -484,7 +484,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     drv[130] = drv[130] + span if missing else 0.0
     if blind:
         sample[1:4] = drv[59:62]
-    before, C_before, nearest = drv[163:169].copy(), drv[169:178].reshape(3, 3).copy(), sample[1:7] - drv[163:169]
+    C_before, nearest = drv[169:178].reshape(3, 3).copy(), sample[1:7] - drv[163:169]
     nearest[:3] = (nearest[:3] + np.pi) % (2 * np.pi) - np.pi
     follow = np.where(started & (np.abs(nearest) <= 3.0 * drv[157:163]), 0.02, 1.0)
     follow[:3], follow[3:] = follow[:3] * (not blind), follow[3:] * (not missing)
@@ -496,19 +496,16 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         y = sample[3]
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     if late_a >= 0 or late_v >= 0:
-        shown, last = (drv, sample[0], missing, Cr, Qd), np.r_[drv[59:62], drv[74:77]]
-        late, seen = _change(68, sample[1:7] - last, *shown), _change(187, drv[163:169] - before, *shown)
-        seen[3:], drv[201:204] = drv[201:204].copy(), seen[3:].copy()
+        late = _change(sample[1:7] - np.r_[drv[59:62], drv[74:77]], drv, sample[0], missing, Cr, Qd)
+        seen, drv[187:190] = drv[187:190].copy(), late[3:]
         drv[77], drv[74:77] = not missing, drv[74:77] if missing else sample[4:7]
     if late_a >= 0:
         E[:3, late_a] -= late[:3]
     if late_v >= 0:
         E[3:, late_v] -= late[3:]
     err = E @ xd
-    if late_a >= 0:
-        E[:3, late_a] += late[:3] - seen[:3]
     if late_v >= 0:
-        E[3:, late_v] += late[3:] - seen[3:]
+        E[3:, late_v] += late[3:] - seen
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw = np.arctan2(C0[1, 0], C0[0, 0]) if held else yaw + drv[43]  # declination
     C = C0 if blind else euler(roll, pitch, yaw)
@@ -573,8 +570,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         drv[78:87], drv[178:187] = swing.ravel(), told * swing.ravel()
     F[:3, :3] += span * _curvature(v0, nav[0], *nav[15:17])
     gains, known = np.cross(drv[143:146], C.T @ u) + drv[149:152], per and span <= 3 * drv[36]
-    bent, drv[198:201] = drv[198:201].copy(), span**2 / 12.0 * C @ gains if known else 0.0
-    made = half * (v0 + w0 + u + current) - l1 + l0 + bent - drv[198:201]
+    bent, drv[190:193] = drv[190:193].copy(), span**2 / 12.0 * C @ gains if known else 0.0
+    made = half * (v0 + w0 + u + current) - l1 + l0 + bent - drv[190:193]
     drv[127:129] += made[:2]
     _move(nav, made)
     nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u + current - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
@@ -652,8 +649,8 @@ def _by_scale_and_turn(scale, mis, y, each):
     return np.column_stack([by_scale if each else by_scale.sum(axis=1), by_turn])
 
 
-def _change(place, step, drv, span, missing, Cr, Qd):
-    near, rates = drv[13] != 0 and 0 < span <= 3 * drv[36], drv[place : place + 6]
+def _change(step, drv, span, missing, Cr, Qd):
+    near, rates = drv[13] != 0 and 0 < span <= 3 * drv[36], drv[68:74]
     known = np.repeat([near, near and not missing and drv[77]], 3)
     step[:3] = (step[:3] + np.pi) % (2 * np.pi) - np.pi
     if not near:

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (204,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (198,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -88,16 +88,16 @@ OWN = 142
 # in b, each followed by what it did between the last two readings (3); and by how much that was another before.
 TURNING, RATE, GAINING, TURN_CHANGE, SPEED_CHANGE = 143, 146, 149, 155, 156
 # Dead reckoning: sd of the errors of its six readings, these as slopes by constants see them (6 each); their attitude
-# (9), how it turned, per second (9), and how fast the six change then (6).
-SPREAD, STEADY, STEADY_C, STEADY_TURN, STEADY_CHANGE = 157, 163, 169, 178, 187
+# (9), how it turned, per second (9); how fast the velocity changed at the reading before, as far as that stands out of
+# noise (3); and by how much the trapezoidal rule is ahead of the way [m] (3).
+SPREAD, STEADY, STEADY_C, STEADY_TURN, SLOPES, BENT = 157, 163, 169, 178, 187, 190
 # Dead reckoning: for how long the heading has been the same to the last bit [s], in which share of its samples it was
 # before, and how many these are.
 SAME_HEADING_S, REPEATS, SEEN = 193, 194, 195
 # Dead reckoning: mean squares of how much turn and change of velocity are others from one interval to the next
-# [rad^2/s^2], [m^2/s^4]; by how much the trapezoidal rule is ahead of the way [m] (3); and how fast the velocity
-# changed at the reading before, as its clock sees it (3).
-TURN_USUAL, SPEED_USUAL, BENT, SLOPES = 196, 197, 198, 201
-DRIVE_SIZE = 204
+# [rad^2/s^2], [m^2/s^4].
+TURN_USUAL, SPEED_USUAL = 196, 197
+DRIVE_SIZE = 198
 # Slopes go to a new reading slowly, unless that is further off than so many sd of its errors [1].
 STEADY_SDS, FOLLOWED = 3.0, 0.02
 # What is usual is a mean over so long, two or three dives [s]; at first it is a turn and a push that AUVs begin with
@@ -1074,8 +1074,8 @@ def _arm_columns(F, drv, C, B, missing, half, arm, told, spin, turn):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _change(drv, place, now, before, span, missing, Cr, wander, late):
-    """How fast readings (6,) change [unit/s], in drv at `place`: the difference from those before, a little smoothed; 0
+def _change(drv, now, before, span, missing, Cr, wander, late):
+    """How fast readings (6,) change [unit/s], in drv: the difference from those before, a little smoothed; 0
     over gaps and while the velocity is lost. late (6,): as far as that stands out of what the noise of the readings
     changes by, which is white (last column of Cr) and wanders by so much from one to the next, wander (6,).
     """
@@ -1089,16 +1089,16 @@ def _change(drv, place, now, before, span, missing, Cr, wander, late):
             known = near and not missing and drv[KNOWN_VELOCITY] != 0.0
         late[i] = 0.0
         if not known:
-            drv[place + i] = 0.0
+            drv[CHANGE + i] = 0.0
             continue
         white, walk = 2.0 * Cr[i, Cr.shape[1] - 1] / (span * span), wander[i] / (span * span)
-        step = step / span - drv[place + i]
+        step = step / span - drv[CHANGE + i]
         share = span / (span + (CHANGE_S if step * step > SUDDEN**2 * (white + walk) else STEADY_S))
-        drv[place + i] += share * step
+        drv[CHANGE + i] += share * step
         share = span / (span + STEADY_S)
         noise = TOLD_CHANGE**2 * share / (2.0 - share) * (share * white + walk)
-        square = drv[place + i] ** 2
-        late[i] = drv[place + i] * square / (square + noise) if square > 0.0 else 0.0
+        square = drv[CHANGE + i] ** 2
+        late[i] = drv[CHANGE + i] * square / (square + noise) if square > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -1325,12 +1325,11 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
-    B, X, moved, last, seen, turn, gained, angles, spin, err, late, wander, v, u, w, l0, l1 = (
+    B, X, last, seen, turn, gained, angles, spin, err, late, wander, v, u, w, l0, l1 = (
         np.empty((3, 3)),
         np.empty((6, 3)),
         np.empty(6),
-        np.empty(6),
-        np.empty(6),
+        np.empty(3),
         np.empty(9),
         np.empty(3),
         np.empty(3),
@@ -1396,18 +1395,15 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         elif missing:
             for i in range(3):
                 drv[GAINING + i] = 0.0
-        for i in range(6):
-            moved[i] = drv[STEADY + i]
         _steady(drv, samples, n, blind, missing)
         if late_a >= 0 or late_v >= 0:
             for i in range(3):
                 last[i], last[3 + i] = drv[PREVIOUS_RPY + i], drv[PREVIOUS_VELOCITY + i]
-            _change(drv, CHANGE, samples[n, 1:7], last, span, missing, Cr, wander, late)
-            _change(drv, STEADY_CHANGE, drv[STEADY : STEADY + 6], moved, span, missing, Cr, wander, seen)
+            _change(drv, samples[n, 1:7], last, span, missing, Cr, wander, late)
             # A sensor beside it sees the noise of this reading: were it in the slope, too, it would tell the clock,
             # always to the same side (by half a second of one that scatters by 2 cm/s). How it changed before has none.
             for i in range(3):
-                drv[SLOPES + i], seen[3 + i] = seen[3 + i], drv[SLOPES + i]
+                seen[i], drv[SLOPES + i] = drv[SLOPES + i], late[3 + i]
             for i in range(0 if missing else 3):
                 drv[PREVIOUS_VELOCITY + i] = samples[n, 4 + i]
             drv[KNOWN_VELOCITY] = 0.0 if missing else 1.0
@@ -1562,9 +1558,9 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(9):
             for a in range(3):
                 if late_a >= 0:
-                    F[i, 9 + late_a] += J[i, a] * seen[a]
+                    F[i, 9 + late_a] += J[i, a] * late[a]
                 if late_v >= 0:
-                    F[i, 9 + late_v] += J[i, 3 + a] * seen[3 + a]
+                    F[i, 9 + late_v] += J[i, 3 + a] * seen[a]
         if arm >= 0:
             _arm_columns(F, drv, C, B, missing, half, arm, told, spin, turn)
         else:
