@@ -328,10 +328,12 @@ def figures(number: int, options: Options) -> dict[str, Any]:
     dark = not len(scored(hit.rows)) or not len(scored(clean.rows))
     for name, run in (("", hit), ("clean_", clean)):
         after = run.rows[run.rows[:, 0] > from_s] if dark else scored(run.rows)
-        row |= {f"{name}m": float(np.sqrt(np.mean(after[:, 1] ** 2)))} if len(after) else {f"{name}m": math.nan}
-        row[f"{name}deg"] = float(np.sqrt(np.mean(after[:, 2] ** 2))) / DEG if len(after) else math.nan
-        row[f"{name}nees"] = float(after[:, 3:].mean(axis=0).max()) if len(after) else math.nan
-        row |= {f"{name}nees_{p}": float(x) for p, x in zip(PARTS, after[:, 3:].mean(axis=0), strict=True)}
+        square, nees = np.full(2, math.nan), np.full(len(PARTS), math.nan)  # a run that has ended says nothing
+        if len(after):
+            square, nees = np.mean(after[:, 1:3] ** 2, axis=0), after[:, 3:].mean(axis=0)
+        row[f"{name}m"], row[f"{name}deg"] = math.sqrt(square[0]), math.sqrt(square[1]) / DEG
+        row[f"{name}nees"] = float(nees.max())
+        row |= {f"{name}nees_{part}": float(x) for part, x in zip(PARTS, nees, strict=True)}
     usual = {round(t): said(state) for t, state in clean.outcome.states}
     news = [t for t, s in hit.outcome.states if t >= begin_s and differs(said(s), usual.get(round(t), said(s)))]
     row["named_s"] = news[0] - begin_s if news else None
