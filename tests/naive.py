@@ -432,6 +432,23 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
 dead_reckoning_traced = _traced(dead_reckoning_steps)
 
 
+def _deviated(reading, waves):
+    """Deviation is told by the heading: reading = heading + waves(heading)."""
+    heading = reading
+    for _ in range(3):
+        y = heading
+        value, slope = (
+            np.dot(waves, each)
+            for each in (
+                (np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)),
+                (np.cos(y), -np.sin(y), 2 * np.cos(2 * y), -2 * np.sin(2 * y)),
+            )
+        )
+        slope = max(slope, -0.5)
+        heading = y - (y + value - reading) / (1.0 + slope)
+    return reading - heading, 1.0 / (1.0 + slope)
+
+
 def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     k, m = len(xd), len(xd) + 9
     span, started, half = sample[0], drv[13] != 0, 0.5 * sample[0]
@@ -492,9 +509,6 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     drv[169:178] = euler(drv[163], drv[164], drv[165] + drv[43]).ravel()
     # what the readings' errors are thought to be, and how they follow from the drive's states
     E = Cr[:, :k].copy()
-    if dev >= 0:
-        y = sample[3]
-        E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     if late_a >= 0 or late_v >= 0:
         late = _change(sample[1:7] - np.r_[drv[59:62], drv[74:77]], drv, sample[0], missing, Cr, Qd)
         seen, drv[187:190] = drv[187:190].copy(), late[3:]
@@ -503,14 +517,21 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         E[:3, late_a] -= late[:3]
     if late_v >= 0:
         E[3:, late_v] -= late[3:]
-    err = E @ xd
+    err, bent, straight = E @ xd, 0.0, 1.0
+    if dev >= 0:
+        bent, straight = _deviated(sample[3] - err[2], xd[dev : dev + 4])
+        err[2] += bent
     if late_v >= 0:
         E[3:, late_v] += late[3:] - seen
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw = np.arctan2(C0[1, 0], C0[0, 0]) if held else yaw + drv[43]  # declination
     C = C0 if blind else euler(roll, pitch, yaw)
     # each angle turns about one of these
-    axes = np.zeros((3, 3)) if blind else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, (not held) * DOWN])
+    axes = (
+        np.zeros((3, 3))
+        if blind
+        else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, straight * (not held) * DOWN])
+    )
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
     turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
     spin = np.zeros(3)
@@ -556,7 +577,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         F[:3, 6:9] += np.outer((skew(l1) - half * skew(u)) @ DOWN, row)
         F[8, 6:9] += row
     if dev >= 0:
-        y = drv[165]
+        y = drv[165] - bent
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
     if lever >= 0:

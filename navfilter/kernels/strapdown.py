@@ -1012,6 +1012,22 @@ def _position_rows(nav, F, dt, m):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _deviated(reading, sin1, cos1, sin2, cos2):
+    """Deviation of a compass that reads this beside its other errors, and by how much of an error of the reading the
+    heading errs: deviation is told by the heading, and not by what is read there.
+
+    Where seven degrees of it turn with the heading, to take it at the reading was an error of half a degree.
+    """
+    heading, slope = reading, 0.0
+    for _ in range(3):  # of Newton: what is left of a radian in ten is 1e-8
+        s1, c1 = math.sin(heading), math.cos(heading)
+        s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
+        slope = max(sin1 * c1 - cos1 * s1 + 2.0 * (sin2 * c2 - cos2 * s2), -0.5)
+        heading -= (heading - reading + sin1 * s1 + cos1 * c1 + sin2 * s2 + cos2 * c2) / (1.0 + slope)
+    return reading - heading, 1.0 / (1.0 + slope)
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _steady(drv, samples, n, blind, missing):
     """Have the readings by which slopes are made follow those of a sample, see `measurement.hold_slopes`.
 
@@ -1412,11 +1428,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 err[i] -= xd[late_a] * late[i]
             if late_v >= 0:
                 err[3 + i] -= xd[late_v] * late[3 + i]
-        yaw = samples[n, 3]
-        s1, c1 = math.sin(yaw), math.cos(yaw)
-        s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
+        yaw, bent, straight = samples[n, 3], 0.0, 1.0
         if dev >= 0:
-            err[2] += s1 * xd[dev] + c1 * xd[dev + 1] + s2 * xd[dev + 2] + c2 * xd[dev + 3]
+            bent, straight = _deviated(yaw - err[2], xd[dev], xd[dev + 1], xd[dev + 2], xd[dev + 3])
+            err[2] += bent
         roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2] + drv[DECLINATION]
         if held:
             psi = math.atan2(nav[9], nav[6])
@@ -1482,7 +1497,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if not blind:
             for i in range(3):
                 J[6 + i, 0] = C[i, 0]
-            J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 0.0 if held else 1.0
+            J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 0.0 if held else straight
         if missing:
             for i in range(3):
                 for j in range(3):
@@ -1548,7 +1563,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 for a in range(6):
                     F[i, 9 + s] -= J[i, a] * Cr[a, s]
         if dev >= 0:
-            s1, c1 = math.sin(drv[STEADY + 2]), math.cos(drv[STEADY + 2])
+            s1, c1 = math.sin(drv[STEADY + 2] - bent), math.cos(drv[STEADY + 2] - bent)
             s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
             for i in range(9):
                 F[i, 9 + dev] -= J[i, 2] * s1
