@@ -254,6 +254,23 @@ def test_kinds_that_are_not_known_are_refused():
         nf.calibrate(reckoning(), [])
 
 
+def test_a_mission_that_is_given_twice_is_refused():
+    """It would be believed twice; found by handing the command what the manual asks not to be."""
+    first, second = dive(1), dive(2)
+    again = replace(first, name="copy").without_stream("gps").with_stream("gps", second.streams["gps"])
+    for twice in (replace(first, name="copy"), again):
+        with pytest.raises(ValueError, match=r"and \"copy\" hold the same readings"):
+            nf.calibrate(reckoning(**UNSURE), [second, first, twice])
+
+
+def test_constants_of_each_mission_are_known():
+    """A name that was misspelt was taken for none, and the clocks of all missions for the same."""
+    with pytest.raises(ValueError, match='is called "clocks"; kinds: clock, lever-arm'):
+        nf.calibrate(reckoning(**UNSURE), [dive(1)], each=["clocks"])
+    with pytest.raises(ValueError, match="leaves none to calibrate"):
+        nf.calibrate(reckoning(time_offset_sd_s=0.3), [dive(1)], each=["velocity.time_offset"])
+
+
 def test_what_each_kind_opens():
     sensors = {"dvl": nf.BodyVelocity(), "compass": nf.Heading(), "gps": nf.Position(), "depth": nf.Depth()}
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors=sensors)

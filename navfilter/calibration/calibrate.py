@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.calibration.estimate import AROUND, Estimate, estimate
-from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, opened
+from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, kind_of, opened
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.error_models import White
 from navfilter.handed_over import needs
@@ -178,7 +178,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        For no mission, an unknown kind, nothing to calibrate, a mission too short, and as `navfilter.replay`.
+        For no mission, one that is given twice, an unknown kind, nothing to calibrate, a mission too short, and as
+        `navfilter.replay`.
 
     Notes
     -----
@@ -203,15 +204,16 @@ def calibrate(
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown:
         raise ValueError(f'no kind of constants is called "{unknown[0]}"; known: {", ".join(KINDS)}.')
+    wide = opened(vehicle, kinds, missions)
+    _check(missions, each, wide)
     tell = report or (lambda text: None)
     cut = [stretches_of(vehicle, mission) for mission in missions]
-    result = _calibrated(vehicle, opened(vehicle, kinds, missions), missions, cut, each, tell)
+    result = _calibrated(vehicle, wide, missions, cut, each, tell)
     far = [one for one in result.found if one.told and abs(one.value - one.before) > FAR * one.before_sd]
     if not far:
         return result
     tell(f"again, with {', '.join(one.name for one in far)} as described")
     names = [one.name for one in far]
-    wide = opened(vehicle, kinds, missions)
     sure = described(wide, [one._replace(sd=0.0) for one in constants_of(wide, each) if one.name in names])
     if not constants_of(sure, each):
         return result
@@ -221,6 +223,39 @@ def calibrate(
     order = {one.name: i for i, one in enumerate(result.found)}
     found = [*other.found, *(replace(one, believed=False) for one in far)]
     return replace(other, found=tuple(sorted(found, key=lambda one: order[one.name])))
+
+
+def _check(missions: Sequence[Mission], each: Collection[str], wide: Vehicle) -> None:
+    """Refuse what would be counted twice, and names that mean nothing."""
+    for k, mission in enumerate(missions):
+        for other in missions[:k]:
+            if _same(mission, other):
+                raise ValueError(
+                    f'missions "{other.name}" and "{mission.name}" hold the same readings: given twice, they would be '
+                    "believed twice. Give each mission once."
+                )
+    constants = constants_of(wide)
+    known = {*KINDS, *(name for one in constants for name in (one.name, kind_of(one.own)))}
+    for name in each:
+        if name and name not in known:
+            raise ValueError(
+                f'no kind and no constant in doubt is called "{name}"; kinds: {", ".join(KINDS)}; constants in doubt: '
+                f"{', '.join(one.name for one in constants) or 'none'}."
+            )
+    if constants and not constants_of(wide, each):
+        raise ValueError("all constants in doubt are others in each mission: that leaves none to calibrate.")
+
+
+def _same(mission: Mission, other: Mission) -> bool:
+    """Whether two missions hold the same readings of any sensor, at the same times."""
+    return any(
+        len(stream) > 1
+        and np.array_equal(stream.time_s, other.streams[name].time_s)
+        and np.array_equal(stream.value, other.streams[name].value, equal_nan=True)
+        and np.ptp(np.nan_to_num(stream.value), axis=0).any()
+        for name, stream in mission.streams.items()
+        if name in other.streams
+    )
 
 
 def _loss(result: Calibration) -> float:
