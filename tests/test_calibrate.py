@@ -112,6 +112,42 @@ def test_a_described_constant_is_what_the_state_was():
     assert all(abs(left[name]) < 0.5 * one[name] for name in TRUE), left
 
 
+def told_by(monkeypatch, *says):
+    """The estimate where each mission says what these functions of the constants make of it: value and sd."""
+
+    def said(vehicle, mission, constants, value, s):
+        x, sd = says[mission](value)
+        information = np.diag(np.full(len(value), sd**-2.0))
+        return information, information @ np.full(len(value), x)
+
+    monkeypatch.setattr("navfilter.calibration.estimate.said", said)
+    return estimate(reckoning(scale_sd=0.02), range(len(says)))
+
+
+def test_constants_that_run_away_are_not_believed(monkeypatch):
+    """Found by random vehicles: each run led on by two sds of the prior, to fifteen, and a third of one was the sd."""
+    fit = told_by(monkeypatch, lambda value: (value[0] + 0.04, 0.004))
+    assert not fit.settled and fit.value[0] > 0.06 and fit.shown(UNTOLD).all() and not fit.told(UNTOLD).any()
+    # one that goes to and fro is found between
+    fit = told_by(monkeypatch, lambda value: (0.03 - 1.5 * value[0], 0.001))
+    assert fit.settled and fit.value[0] == pytest.approx(0.012, abs=2e-4) and fit.sd[0] < 1.001e-3
+
+
+def test_missions_that_disagree_bound_the_sd(monkeypatch):
+    """By the half of what two differ by; not where it may be chance."""
+    fit = told_by(monkeypatch, lambda _: (0.012, 0.001), lambda _: (0.006, 0.001))
+    assert fit.between[0] == pytest.approx(0.003, rel=0.02) and fit.sd[0] < 0.00071
+    assert told_by(monkeypatch, lambda _: (0.012, 0.001), lambda _: (0.0105, 0.001)).between[0] == 0.0
+    assert told_by(monkeypatch, lambda _: (0.012, 0.001)).between[0] == 0.0
+
+
+def test_constants_that_change_between_missions_have_the_sd_of_that():
+    other = replace(WRONG, scale=0.0)
+    missions = [dive(1), simulate(reckoning(), WAY, seed=2, faults={"velocity": other})]
+    scale = found(nf.calibrate(reckoning(**UNSURE), missions))["velocity.scale"]
+    assert scale.scatter > 0.005 and abs(scale.value - 0.02) < 3.0 * scale.sd and abs(scale.value) < 3.0 * scale.sd
+
+
 def test_a_vehicle_that_is_sure_of_everything_is_refused_by_the_estimate():
     with pytest.raises(ValueError, match="sure of all its constants"):
         estimate(reckoning(), [dive(1)])
@@ -132,6 +168,16 @@ def test_calibrate_opens_what_nobody_doubts_and_keeps_what_predicts_better():
     assert not by_name["velocity.lever_arm_z"].told and result.vehicle.drive.velocity.lever_arm_sd_m[2] == 0.0
     text = calibration_text(result)
     assert "Kept: the withheld fixes are predicted better" in text and "velocity.lever_arm_z" in text
+
+
+def test_what_was_closed_again_leaves_its_doubt_with_the_others():
+    """A scale was a tenth surer, for an arm in z that nobody knows any better was taken for certain."""
+    mission = dive(1)
+    fit = estimate(opened(reckoning(), tuple(KINDS), [mission]), [mission])
+    open_sd = dict(zip([one.name for one in fit.constants], np.sqrt(np.diag(fit.covariance)), strict=True))
+    result = nf.calibrate(reckoning(), [mission])
+    assert not all(one.told for one in result.found)
+    assert all(one.sd > 0.999 * open_sd[one.name] for one in result.found)
 
 
 def test_straight_ahead_nothing_is_told_of_clock_and_arm():

@@ -135,7 +135,7 @@ def test_slopes_by_a_deviation_are_those_of_what_the_heading_does(what):
         return math.atan2(nav[9], nav[6]), acc
 
     step, yaw = 1e-6, 1.1
-    there, acc = heading(x, yaw)
+    _, acc = heading(x, yaw)
     if what == "yaw":
         slope = (heading(x, yaw + step)[0] - heading(x, yaw - step)[0]) / (2.0 * step)
         assert acc[9 + len(x) + 8, 8] == pytest.approx(slope**2, rel=1e-6) and abs(slope - 1.0) > 0.05

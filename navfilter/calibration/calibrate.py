@@ -52,7 +52,7 @@ class Found:
     value, sd : float
         As found; the sd is the larger of that of the likelihood and that of the scatter between the parts.
     scatter : float
-        By leaving out a part at a time (jackknife).
+        By leaving out a part, or a mission, at a time (jackknife).
     told : bool
         Whether the missions say anything of it.
     believed : bool
@@ -186,7 +186,8 @@ def calibrate(
     Each mission is cut into stretches of up to a minute, and these are dealt out to four parts. The constants are
     estimated from everything, and four times without the fixes of one part (without any fixes: without all readings of
     it), which are then predicted by the filter, with the vehicle as it was and with those constants. The scatter of
-    the four estimates bounds the standard deviations from below (jackknife; Efron, 1982); where it is far more than the
+    the four estimates, and of those without each mission where there are several and it is more than chance, bounds the
+    standard deviations from below (jackknife; Efron, 1982); where it is far more than the
     likelihood says, all that the missions say counts less by that factor (the variance of unit weight of geodesy), and
     the prior more.
 
@@ -279,7 +280,8 @@ def _calibrated(
     factor = float(np.mean((folds.scatter / whole.sd)[told] ** 2))
     if factor > TOO_MUCH:
         tell("again, with less weight")
-        whole = estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, 1.0 / factor, each)
+        again = estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, 1.0 / factor, each)
+        whole = _no_surer(again, whole, range(len(whole.value)))
         folds = _folds(vehicle, wide, missions, cut, whole, 1.0 / factor, each, tell)
     return _result(vehicle, wide, whole, first, folds, factor)
 
@@ -322,14 +324,15 @@ def _folds(
         values.append(fold.value)
         of_fold = described(wide, _with_values(fold.constants, fold.value, fold.sd))
         pairs = [
-            [predicted(v, mission, s, part) for v in (vehicle, of_fold)]
-            for mission, s in zip(missions, cut, strict=True)
+            [predicted(vehicle, mission, s, part, run), predicted(of_fold, mission, s, part)]
+            for mission, s, run in zip(missions, cut, whole_runs, strict=True)
         ]
         for all_of, found in zip((before, after), zip(*pairs, strict=True), strict=True):
             one = together([prediction for prediction in found if prediction is not None])
             if one is not None:
                 all_of.append(one)
     scatter = np.sqrt((FOLDS - 1) / FOLDS * np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0))
+    scatter = np.maximum(scatter, whole.between)
     return _Folds(scatter, tuple(before), tuple(after)) if len(before) == len(after) else _Folds(scatter)
 
 
@@ -343,8 +346,8 @@ def _whole(
     """The estimate from everything, without the constants that were opened in vain; the one with them; the vehicle."""
     count = len(missions)
     first = estimate(wide, missions, each=each, report=lambda run: tell(f"all of it, step {run // count + 1}"))
-    told = first.told(UNTOLD)
-    narrow = closed(wide, before, [one for one, is_told in zip(first.constants, told, strict=True) if not is_told])
+    shown = first.shown(UNTOLD)
+    narrow = closed(wide, before, [one for one, is_shown in zip(first.constants, shown, strict=True) if not is_shown])
     left = [one.name for one in constants_of(narrow, each)]
     if len(left) == len(first.constants) or not left:
         return first, first, wide

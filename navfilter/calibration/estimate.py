@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.calibration.parts import Constant, constants_of, described
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.mission import Mission
 from navfilter.playback import at_the_end
 from navfilter.vehicle import Vehicle
@@ -22,6 +23,8 @@ SETTLED = 0.1
 AROUND = 3.0
 #: Steps at most.
 ROUNDS = 8
+#: A scatter between missions is chance up to this share of what chance does.
+BY_CHANCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -35,10 +38,16 @@ class Estimate:
     value, sd : ndarray, shape (k,)
         As found.
     covariance : ndarray, shape (k, k)
+        By their likelihood.
     rounds : int
         Steps that it took.
     settled : bool
         Whether the last step moved none of them by more than `SETTLED`.
+    between : ndarray, shape (k,)
+        Standard deviations by leaving out a mission at a time (jackknife); zero of one mission, and of a scatter that
+        is no more than chance.
+    unsettled : ndarray, shape (k,)
+        What the last two steps moved them by, the larger; zero where they have settled.
     """
 
     constants: tuple[Constant, ...]
@@ -46,15 +55,21 @@ class Estimate:
     covariance: Array
     rounds: int
     settled: bool
+    between: Array
+    unsettled: Array
 
     @property
     def sd(self) -> Array:
-        """Standard deviations, shape (k,)."""
-        return np.sqrt(np.diag(self.covariance))
+        """Standard deviations, shape (k,): of the likelihood, and of what has not settled."""
+        return np.sqrt(np.diag(self.covariance) + self.unsettled**2)
 
     def told(self, untold: float) -> NDArray[np.bool_]:
         """Which of them the missions have told: less than this share of the prior's sd is left."""
         return self.sd <= untold * np.array([one.sd for one in self.constants])
+
+    def shown(self, untold: float) -> NDArray[np.bool_]:
+        """The same, and of which they say something, although it has not settled."""
+        return np.sqrt(np.diag(self.covariance)) <= untold * np.array([one.sd for one in self.constants])
 
 
 def estimate(
@@ -101,7 +116,9 @@ def estimate(
     the constants at ``c``, each with the sd ``s`` of this step, ends with the posterior ``N(x, P)``; what the mission
     itself says is ``J = inv(P) - inv(diag(s^2))`` and ``i = inv(P) x - inv(diag(s^2)) c``. Information of several
     missions adds to that of the prior. The next step is taken around what this one found (Gauss-Newton; Kay, 1993,
-    sec. 7.7), with a smaller ``s``, so that the filter stays where it is linear.
+    sec. 7.7), with a smaller ``s``, so that the filter stays where it is linear. A step back goes half the way. Where
+    they have not settled, the variances are larger by the square of what the last two steps moved: constants that ran
+    away by fifteen sds of their prior were believed to a third of one.
     """
     constants = constants_of(vehicle, each)
     if not constants:
@@ -114,20 +131,43 @@ def estimate(
     s = prior_sd if spread is None else np.minimum(prior_sd, spread)
     J0 = np.diag(prior_sd**-2)
     done, number, settled, covariance = 0, 0, False, np.diag(prior_sd**2)
+    move, moves = np.zeros(len(value)), []
     while number < rounds and not settled:
         number += 1
         J, i = J0.copy(), J0 @ prior
-        at = described(vehicle, _moved(constants, value, s))
+        at, each_said = described(vehicle, _moved(constants, value, s)), []
         for mission in missions:
             if report is not None:
                 report(done)
             more = said(at, mission, constants, value, s)
-            J, i, done = J + weight * more[0], i + weight * more[1], done + 1
-        before, covariance = value, _inverse(J)
-        value, sd = covariance @ i, np.sqrt(np.diag(covariance))
-        settled = bool(np.all(np.abs(value - before) < SETTLED * sd))
+            each_said.append((weight * more[0], weight * more[1]))
+            J, i, done = J + each_said[-1][0], i + each_said[-1][1], done + 1
+        covariance = _inverse(J)
+        before, move = move, covariance @ i - value
+        sd = np.sqrt(np.diag(covariance))
+        settled = bool(np.all(np.abs(move) < SETTLED * sd))
+        if move @ J @ before < 0.0 and not settled:
+            move = 0.5 * move  # it goes to and fro about where it will be
+        value = value + move
+        moves.append(np.abs(move))
         s = np.minimum(prior_sd, AROUND * sd)
-    return Estimate(constants, value, covariance, number, settled)
+    # where a step still leads elsewhere, what it was linear around does not hold for less than that
+    unsettled = np.zeros(len(value)) if settled else np.max(moves[-2:], axis=0)
+    between = _between(J, i, each_said, np.sqrt(np.diag(covariance)))
+    return Estimate(constants, value, covariance, number, settled, between, unsettled)
+
+
+def _between(J: Array, i: Array, each_said: Sequence[tuple[Array, Array]], sd: Array) -> Array:
+    """How the constants scatter between the missions that told them, by what is found without each in turn; 0 where it
+    is no more than chance makes of these standard deviations.
+    """
+    n = len(each_said)
+    if n < 2:
+        return np.zeros(len(i))
+    without = np.array([_inverse(J - of) @ (i - times_value) for of, times_value in each_said])
+    variance = (n - 1) / n * np.sum((without - without.mean(axis=0)) ** 2, axis=0)
+    most = chi_square_limit(BY_CHANCE, n - 1) / (n - 1)
+    return np.where(variance > most * sd**2, np.sqrt(variance), 0.0)
 
 
 def _moved(constants: Sequence[Constant], value: Array, sd: Array) -> list[Constant]:
