@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ class Prediction:
     inside : float
         Share of the fixes inside the 95 % ellipse; NaN without fixes.
     cost : float
-        Minus the mean log-likelihood of a reading, up to a constant.
+        Minus the mean log-likelihood of a reading, up to a constant. Of fixes, each as those before it predict it.
     """
 
     count: int
@@ -81,8 +81,8 @@ class Prediction:
 
     @property
     def loss(self) -> float:
-        """What is compared: the error at fixes, or the cost where there are none."""
-        return self.cost if math.isnan(self.rms_m) else self.rms_m
+        """What is compared: the cost, or the error at fixes where none was worked out."""
+        return self.rms_m if math.isnan(self.cost) else self.cost
 
 
 def stretches_of(vehicle: Vehicle, mission: Mission) -> Stretches:
@@ -120,12 +120,34 @@ def _valid_times(mission: Mission, name: str) -> Array:
     return stream.time_s[np.isfinite(stream.value).any(axis=1)]
 
 
-def predicted(vehicle: Vehicle, mission: Mission, stretches: Stretches, part: int) -> Prediction | None:
-    """How a vehicle predicts what one part withholds; None where nothing of it can be compared."""
-    if stretches.fixes:
-        track = replay(vehicle, stretches.without(mission, part))
-        return _at_fixes(track, mission, stretches, part)
-    return _by_innovations(replay(vehicle, mission, output_rate_hz=1.0), stretches, part)
+def predicted(
+    vehicle: Vehicle, mission: Mission, stretches: Stretches, part: int, whole: Track | None = None
+) -> Prediction | None:
+    """How a vehicle predicts what one part withholds; None where nothing of it can be compared.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With constants that were found without this part.
+    mission : Mission
+    stretches : Stretches
+    part : int
+    whole : Track, optional
+        Of the vehicle by all of the mission; default: it is run.
+
+    Notes
+    -----
+    Compared is the likelihood of the readings of the part in a run that is given them, each as those before it predict
+    it: the product is that of all of them together (prediction error decomposition; Harvey, 1989, sec. 3.4). The error
+    at fixes that a run is not given is what their own errors make of it, which last as long as a stretch: constants
+    that erred by a third were refused as often as they were kept.
+    """
+    whole = whole or replay(vehicle, mission, output_rate_hz=1.0)
+    of_all = _by_innovations(whole, stretches, part)
+    if not stretches.fixes or of_all is None:
+        return of_all
+    fixes = _at_fixes(replay(vehicle, stretches.without(mission, part)), mission, stretches, part)
+    return None if fixes is None else replace(fixes, cost=of_all.cost * of_all.count / fixes.count)
 
 
 def _at_fixes(track: Track, mission: Mission, stretches: Stretches, part: int) -> Prediction | None:

@@ -47,6 +47,9 @@ def _worth(result: Calibration) -> Iterator[str]:
     if result.before is not None and result.after is not None:
         for name, one in (("described", result.before), ("found", result.after)):
             yield f"withheld, by the constants as {name}: {_predicted(one)}"
+        if not math.isnan(result.after.rms_m) and not math.isnan(result.after.cost):
+            gain = result.before.cost * result.before.count - result.after.cost * result.after.count
+            yield f"ln of the likelihood of these fixes, each by those before it: {gain:+.1f} by the constants found"
     yield f"{'Kept' if result.kept else 'Not kept'}: {result.why}."
 
 
@@ -82,7 +85,10 @@ def _remarks(result: Calibration) -> Iterator[str]:
             "of the scatter. Is an error model too small, or does a constant change?"
         )
     if not result.settled:
-        yield f"The constants had not settled after {result.rounds} steps: start from a better description."
+        yield (
+            f"The constants had not settled after {result.rounds} steps: their sds hold what the last ones moved them "
+            "by. Start from a better description."
+        )
     if result.kept and result.after is not None and result.after.inside < 0.8:
         yield "The withheld fixes lie outside the ellipse too often: an error model is too small."
     wheels = [one for one in result.found if one.told and one.believed and one.name.endswith(".scale") and result.kept]
