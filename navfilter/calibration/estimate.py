@@ -47,7 +47,7 @@ class Estimate:
         Standard deviations by leaving out a mission at a time (jackknife); zero of one mission, and of a scatter that
         is no more than chance.
     unsettled : ndarray, shape (k,)
-        What the last two steps moved them by, the larger; zero where they have settled.
+        What the second half of the steps moved them by, in quadrature; zero where they have settled.
     """
 
     constants: tuple[Constant, ...]
@@ -117,8 +117,8 @@ def estimate(
     itself says is ``J = inv(P) - inv(diag(s^2))`` and ``i = inv(P) x - inv(diag(s^2)) c``. Information of several
     missions adds to that of the prior. The next step is taken around what this one found (Gauss-Newton; Kay, 1993,
     sec. 7.7), with a smaller ``s``, so that the filter stays where it is linear. A step back goes half the way. Where
-    they have not settled, the variances are larger by the square of what the last two steps moved: constants that ran
-    away by fifteen sds of their prior were believed to a third of one.
+    they have not settled, the variances are larger by the squares of what the second half of the steps moved: constants
+    that ran away by fifteen sds of their prior were believed to a third of one.
     """
     constants = constants_of(vehicle, each)
     if not constants:
@@ -152,7 +152,8 @@ def estimate(
         moves.append(np.abs(move))
         s = np.minimum(prior_sd, AROUND * sd)
     # where a step still leads elsewhere, what it was linear around does not hold for less than that
-    unsettled = np.zeros(len(value)) if settled else np.max(moves[-2:], axis=0)
+    last = moves[-max(2, len(moves) // 2) :]
+    unsettled = np.zeros(len(value)) if settled else np.sqrt(np.sum(np.square(last), axis=0))
     between = _between(J, i, each_said, np.sqrt(np.diag(covariance)))
     return Estimate(constants, value, covariance, number, settled, between, unsettled)
 
