@@ -185,6 +185,10 @@ def test_straight_ahead_nothing_is_told_of_clock_and_arm():
     by_name = found(result)
     assert not by_name["velocity.lever_arm_x"].told and not by_name["velocity.lever_arm_y"].told
     assert by_name["velocity.scale"].told and by_name["velocity.misalignment_z"].told
+    # as the output says, what is not told stays as described; it was written as what hardly told it had it
+    before, after = reckoning(**UNSURE).drive.velocity, result.vehicle.drive.velocity
+    assert result.kept and after.calibrated
+    assert (after.lever_arm_b_m, after.lever_arm_sd_m) == (before.lever_arm_b_m, before.lever_arm_sd_m)
 
 
 def test_what_predicts_no_better_is_not_kept():

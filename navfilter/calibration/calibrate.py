@@ -327,7 +327,7 @@ def _folds(
         rest = [s.without(mission, part) for s, mission in zip(cut, missions, strict=True)]
         fold = estimate(wide, rest, whole.value, 2.0 * AROUND * whole.sd, FEW, weight, each)
         values.append(fold.value)
-        of_fold = described(wide, _with_values(fold.constants, fold.value, fold.sd))
+        of_fold = described(wide, _written(fold.constants, fold.value, fold.sd, whole.told(UNTOLD)))
         pairs = [
             [predicted(vehicle, mission, s, part, run), predicted(of_fold, mission, s, part)]
             for mission, s, run in zip(missions, cut, whole_runs, strict=True)
@@ -370,8 +370,10 @@ def _no_surer(whole: Estimate, first: Estimate, rows: Sequence[int]) -> Estimate
     return replace(whole, covariance=whole.covariance * np.outer(wider, wider))
 
 
-def _with_values(constants: Sequence[Constant], value: Array, sd: Array) -> tuple[Constant, ...]:
-    return tuple(one._replace(value=float(v), sd=float(s)) for one, v, s in zip(constants, value, sd, strict=True))
+def _written(constants: Sequence[Constant], value: Array, sd: Array, told: NDArray[np.bool_]) -> tuple[Constant, ...]:
+    """Constants as they go into a file: those that are not told stay as described."""
+    rows = zip(constants, value, sd, told, strict=True)
+    return tuple(one._replace(value=float(v), sd=min(float(s), one.sd)) if t else one for one, v, s, t in rows)
 
 
 def _result(
@@ -387,7 +389,7 @@ def _result(
     found = _listed(whole, sd, scatter, told)
     for name, one in _listed(first, first.sd, np.zeros(len(first.sd)), np.zeros(len(first.sd), bool)).items():
         found.setdefault(name, one)
-    constants = _with_values(whole.constants, whole.value, sd)
+    constants = _written(whole.constants, whole.value, sd, told)
     kept = bool(told.any()) and folds.better
     new = described(wide, constants) if kept else vehicle
     order = {one.name: i for i, one in enumerate(first.constants)}
