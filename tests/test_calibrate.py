@@ -272,7 +272,8 @@ def test_the_scatter_of_the_parts_bounds_the_sd():
     mission = simulate(reckoning(), WAY, seed=7, faults={"gps": Faults(true_error=nf.GaussMarkov(sd=3.0, tau_s=8.0))})
     result = nf.calibrate(reckoning(**UNSURE), [mission])
     plain = estimate(reckoning(**UNSURE), [mission])
-    sd = {one.name: s for one, s in zip(plain.constants, plain.sd, strict=True)}
+    said = np.sqrt(np.diag(plain.covariance))
+    sd = {one.name: s for one, s in zip(plain.constants, said, strict=True)}
     told = [one for one in result.found if one.told]
     assert max(one.sd / sd[one.name] for one in told) > 1.5
     assert all(one.sd >= 0.999 * min(sd[one.name], one.before_sd) for one in told)
