@@ -73,6 +73,19 @@ def test_they_are_those_of_the_live_run(dive, track):
     assert said >= 199 and agreed / said > 0.93
 
 
+def test_a_unit_that_says_nothing_is_said(dive):
+    """Its axes, as those of one whose samples are wrong; a track said "good" of each, with nothing before."""
+    vehicle, mission = dive
+    mission = mission.between(0.0, 50.0).with_start(mission.start)
+    imu = mission.streams["imu"]
+    track = nf.replay(vehicle, mission.with_stream("imu", imu.keep(~within(imu, (25.0, 33.0)))))
+    said = {f"{axis} is silent" for axis in vehicle.drive.axis_names}
+    silent = [spell for spell in spells(track) if spell.reason in said]
+    assert {spell.reason for spell in silent} == said
+    assert all(25.0 <= spell.begin_s < 26.5 and 33.0 <= spell.end_s < 35.0 for spell in silent)
+    assert [condition for _, axis, condition in track.axes if axis == "gyro_x"] == ["silent", "good"]
+
+
 def test_what_no_vehicle_does_is_lost():
     vehicle, mission = watched.simulated(4, 30.0)
     slow = dataclasses.replace(vehicle, drive=dataclasses.replace(vehicle.drive, max_speed_m_s=0.5))

@@ -21,9 +21,10 @@ from navfilter.kernels import strapdown
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.filter.tape import Tape
     from navfilter.mechanisation import Mechanisation
 
-__all__ = ["CONDITIONS", "COUNTED", "DriveWatch"]
+__all__ = ["CONDITIONS", "COUNTED", "USED", "DriveWatch"]
 
 Array = NDArray[np.float64]
 #: In words, by the kernel's codes.
@@ -31,6 +32,8 @@ CONDITIONS = (
     *("good", "noisy", "stuck", "dead", "saturated", "erratic", "wrong-unit"),
     *("gravity", "free-fall", "swapped", "wrong-unit", "contradicted", "silent"),
 )
+#: Those of an axis whose samples are used.
+USED = CONDITIONS[: kernel.NOISY + 1]
 #: Counters: conditions that began, by axis, and spikes.
 COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
 #: What a vehicle does unseen goes on for about so long [s].
@@ -86,7 +89,7 @@ class DriveWatch:
         """
         return kernel.look(samples, w, sd, self.limits, self._period_s, self._increments)
 
-    def stand_in(self, samples: Array, memory: FilterMemory) -> None:
+    def stand_in(self, samples: Array, memory: FilterMemory, said_s: float, tape: Tape | None) -> None:
         """Values for samples that are missing: no rate, and the force at rest. No axis is good until it has been heard
         again for ``RECOVERS_S``.
 
@@ -95,13 +98,19 @@ class DriveWatch:
         samples : ndarray, shape (n, 7)
             Seconds since the one before; the values are written.
         memory : FilterMemory
+        said_s : float
+            Since when that is said of them [s].
+        tape : Tape or None
+            Is told of the axes whose condition changes.
         """
         w, unit = memory.watch, memory.watch[kernel.UNIT]
         self.refer(w, memory.nav, memory.P)
-        for axis in w[: kernel.UNIT]:
+        for name, axis in zip(self.axes, w[: kernel.UNIT], strict=True):
             if axis[kernel.CODE] not in (kernel.SILENT, kernel.CONTRADICTED):
                 memory.counts["silent"] += 1
                 axis[kernel.CODE] = axis[kernel.HEEDED] = kernel.SILENT
+                if tape is not None:
+                    tape.axes.append((said_s, name, CONDITIONS[kernel.SILENT]))
             axis[kernel.CLEAN_S] = 0.0
         samples[:, 1:4], samples[:, 4:] = 0.0, unit[kernel.REFERENCE : kernel.REFERENCE + 3]
         if self._increments:
@@ -210,6 +219,11 @@ class DriveWatch:
                 if w.item(axis, kernel.HEEDED) > kernel.NOISY:
                     return True
         return False
+
+    def left_out(self, w: Array) -> list[str]:
+        """Names of the axes that something else stands in for."""
+        heeded = w[: kernel.UNIT, kernel.HEEDED].tolist()
+        return [name for name, code in zip(self.axes, heeded, strict=False) if code > kernel.NOISY]
 
     def stood_in_s(self, w: Array) -> float:
         """So long ago what is left out may have begun to be wrong, or was looked at last [s]."""

@@ -225,7 +225,8 @@ class Filter(Estimate):
         while begin < total:
             end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
-                self.watch.stand_in(samples[begin:end], memory)
+                said_s = min(stamps.item(-1), memory.sample_s + self.ahead_s + self.period_s)  # taken until then
+                self.watch.stand_in(samples[begin:end], memory, said_s, self.tape)
                 self.weigh()
             elif self.inertial:
                 end = begin + self.watch.look(samples[begin:end], memory.watch, self.drive_sd)
