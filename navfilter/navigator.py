@@ -285,7 +285,7 @@ class Navigator(Running):
         tape.
 
         Readings from before this moment are too late from now on, and the beginning is not done again for learnt
-        models.
+        models. Learning goes on, but for that sensor where the model put in force is none that learns.
 
         Parameters
         ----------
@@ -300,7 +300,7 @@ class Navigator(Running):
             For an unknown sensor, or something that is no error model.
         """
         self.filter.adopt(Change(name, error), self.told)
-        self.learning.adopted_by_hand()
+        self.learning.adopted_by_hand(name)
         if self.history is not None:
             self.history.begin()
 

@@ -145,6 +145,20 @@ def test_a_model_by_hand_ends_it(mission):
     assert isinstance(nav.filter.in_force.sensors["compass"].error, nf.White)
 
 
+@pytest.mark.parametrize("at_s", [5.0, PENDING_S, AGAIN_S])
+def test_learning_goes_on_after_a_model_by_hand(mission, at_s):
+    """Before the first early look, while one is under way, and before the beginning is done again."""
+    vehicle, recorded, events = mission
+    nav = nf.Navigator(vehicle, recorded.start)
+    number = next(i for i, event in enumerate(events) if event.time_s > at_s)
+    fed(nav, events[:number])
+    nav.adopt("depth", nf.White(sd=0.1))
+    before = nav.counts["adopted"]
+    fed(nav, events[number:])
+    assert nav.counts["adopted"] > before and nav.learning.beginning is None
+    assert not isinstance(nav.filter.in_force.sensors["compass"].error, nf.White)
+
+
 def test_what_is_left_of_a_run_is_freed_without_a_collector(mission, monkeypatch):
     vehicle, recorded, events = mission
     twins, begun = [], beginning._begun

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -246,7 +247,8 @@ class Listener:
 
     def give_up(self) -> None:
         """Back to the error models as described: nothing is learnt any more."""
-        self._memory.models, self._memory.hop, self._memory.due, self._memory.ended = self.described, None, NEVER, True
+        self._memory.models = self.described
+        self.leave()
 
     def begin_again(self) -> None:
         """Listen from the start again."""
@@ -317,6 +319,16 @@ class Listener:
         noted = self._noted(min(self.window + newest, written - memory.since), newest)
         memory.hop = Hop(*noted, fresh, written + after if taken is None else taken)
         self._task(memory.hop)
+
+    def take_early(self) -> None:
+        """Nothing is done at early ages any more: the answer of their hop is taken by the number of ticks."""
+        memory, after = self._memory, math.ceil(TAKEN_AFTER_S / self.period_s)
+        if memory.hop is not None and memory.hop.taken == NEVER:
+            memory.hop = replace(memory.hop, taken=int(memory.cursor[0]) + after)
+
+    def leave(self) -> None:
+        """Nothing is learnt any more."""
+        self._memory.hop, self._memory.due, self._memory.ended = None, NEVER, True
 
     def _task(self, hop: Hop) -> Task:
         """The work on a hop. A late reading that goes back over its beginning asks for the same once more."""

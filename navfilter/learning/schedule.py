@@ -102,21 +102,10 @@ class LearningSchedule:
         """All that changes; setting one goes back (or on) to it."""
         listeners = {name: listener.memory for name, listener in self.listeners.items()}
         rest = None if self.rest is None else self.rest.memory
+        kept = (0, 0) if self.beginning is None else self.beginning.count
         return LearningMemory(
-            self._fed_back,
-            listeners,
-            rest,
-            self.beginning,
-            (0, 0) if self.beginning is None else self.beginning.count,
-            self._stage,
-            self._hopping,
-            self.again,
-            self._quiet_s,
-            self._waiting,
-            self._levels,
-            self._ask_s,
-            self._told,
-            self._refused,
+            *(self._fed_back, listeners, rest, self.beginning, kept, self._stage, self._hopping, self.again),
+            *(self._quiet_s, self._waiting, self._levels, self._ask_s, self._told, self._refused),
         )
 
     @memory.setter
@@ -418,9 +407,21 @@ class LearningSchedule:
                 for listener in self.listeners.values():
                     listener.give_up()
 
-    def adopted_by_hand(self) -> None:
-        """The user has put a model in force: the beginning is not done again."""
+    def adopted_by_hand(self, name: str = "") -> None:
+        """The user has put a model of a sensor in force, or the state is another's: the beginning is not done again.
+        Learning goes on hop by hop, from the first early age on; not of that sensor, where its model does not learn.
+        """
+        if name in self.listeners and not any(map(learning_part, self.filter.in_force.sensors[name].models)):
+            self.listeners[name].leave()
+        learning = [listener for listener in self.listeners.values() if listener.learns]
+        if self.again is not None and not self.again.given_up:  # what was found for that is as good without it
+            self._waiting = tuple(Change(listener.name, listener.memory.models) for listener in learning)
+        self._waiting = tuple(change for change in self._waiting if change.sensor != name)
         self.beginning = self.again = None
+        self._stage, self._hopping = len(self.EARLY_S) + 1, False
+        self._quiet_s = max(self._quiet_s, self._start_s + self.EARLY_S[0])
+        for listener in learning:
+            listener.take_early()
 
     def _present_levels(self) -> dict[str, tuple[float, ...]]:
         """S(0) of what is learnt, per axis; 1 where nothing is."""
