@@ -13,7 +13,7 @@ from navfilter.filter.lane_choice import HISTORY, Choice, LaneHistory
 from navfilter.filter.tape import Tape
 from navfilter.lane_clock import edge_after
 from navfilter.lane_missions import lane_mission
-from navfilter.lanes import begin_anew, choice_of, to_begin_anew
+from navfilter.lanes import begin_anew, choice_of
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.passage import Passage
@@ -37,8 +37,8 @@ class Piece:
         Mission time [s].
     before : Piece or None
         Of the lane that it has begun anew from,
-    records, rows : int
-        what stood on that tape then,
+    records, rows, times_begun : int
+        what stood on that tape then, and how often that lane had begun again itself,
     transition, M : ndarray
         and how the states came from there, see `navfilter.filter.transplant.Transplant`.
     """
@@ -48,6 +48,7 @@ class Piece:
     before: Piece | None = None
     records: int = 0
     rows: int = 0
+    times_begun: int = 0
     transition: Array = field(default_factory=lambda: np.zeros((0, 0)))
     M: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -113,7 +114,7 @@ class LaneReplay:
                 lane.run_until(now_s, progress)
             self._compare(now_s)
             if now_s < self._end_s:
-                for number in to_begin_anew(self.choice, self.believed.nav):
+                for number in self.choice.to_begin_anew():
                     self.lanes[number].begin_anew(self.believed, Tape(self._rate_hz, smoothable=self._smooth))
                     self.choice.begun_anew(number)
         for lane in self.lanes:
@@ -190,7 +191,9 @@ class _Lane:
     def begin_anew(self, source: _Lane, tape: Tape) -> None:
         """From the state of another lane, on another tape."""
         filter, written = self.nav.filter, source.pieces[-1]
-        now_s, records, rows = source.nav.time_s, len(written.tape.records), len(written.tape.row_times)
+        given = written.tape
+        given.lent, stood = True, (len(given.records), len(given.row_times), given.times_begun)
+        now_s = source.nav.time_s
         filter.tape = None
         new = begin_anew(self.nav, source.nav)
         tape.begin(filter.layout)
@@ -198,7 +201,7 @@ class _Lane:
             tape.column(name, sensor.axes)
             tape.models[name] = [(now_s, sensor.error)]
         filter.tape, self._told = tape, {}
-        self.pieces.append(Piece(tape, now_s, written, records, rows, new.transition, new.M))
+        self.pieces.append(Piece(tape, now_s, written, *stood, new.transition, new.M))
 
 
 def piece_at(pieces: list[Piece], time_s: float) -> Piece:
@@ -214,7 +217,10 @@ def smoothable(piece: Piece) -> Tape:
     whole = Tape(smoothable=True)
     whole.layouts.clear()
     for one, then in zip(chain, [*chain[1:], None], strict=True):
-        whole.append(one.tape, *(() if then is None else (then.records, then.rows)))
+        if then is None:
+            whole.append(one.tape)
+        else:
+            whole.append(one.tape.as_of(then.times_begun), then.records, then.rows)
         if then is not None:
             m = len(then.transition)
             whole.record(then.transition.reshape(-1), 0, np.array([0, then.M.shape[1], m, 0, 0, 0, 0, 0]))

@@ -36,7 +36,7 @@ from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import DEAD_RECKONING, LEVEL, Vehicle
 
-__all__ = ["LaneNavigator", "begin_anew", "choice_of", "to_begin_anew"]
+__all__ = ["LaneNavigator", "begin_anew", "choice_of"]
 
 Array = NDArray[np.float64]
 #: Readings come at most so long after the last sample of the drive; so much is no leap of the clock either [s].
@@ -50,19 +50,14 @@ def choice_of(vehicle: Vehicle, start_s: float) -> Choice:
     return Choice([name != DEAD_RECKONING for name in vehicle.lanes()], sensors, start_s, force_sd)
 
 
-def to_begin_anew(choice: Choice, believed: Navigator) -> list[int]:
-    """Lanes to begin anew from the one in force: none while that may do its own beginning again."""
-    return [] if believed.learning.beginning is not None else choice.to_begin_anew()
-
-
 def begin_anew(nav: Navigator, source: Navigator) -> Transplant:
     """Begin a lane anew from the state of another; what it knows of its own unit's samples stays."""
     new = transplant(source.filter, nav.filter)
     nav.filter.recall(new.memory)
     rest = nav.learning.memory.rest
-    memory = LearningSchedule(nav.filter, nav.learning.behind_s).memory
-    nav.learning.memory = dataclasses.replace(memory, rest=rest)
-    nav.learning.adopted_by_hand()
+    fresh = LearningSchedule(nav.filter, nav.learning.behind_s)
+    fresh.adopted_by_hand()
+    nav.learning.memory = dataclasses.replace(fresh.memory, rest=rest)
     return new
 
 
@@ -257,7 +252,7 @@ class LaneNavigator(Running):
             return False
         while (edge_s := self._edge_s) < time_s:
             self.choice.decide_until(edge_s, behind=True)
-            for lane in to_begin_anew(self.choice, self.believed):
+            for lane in self.choice.to_begin_anew():
                 begin_anew(self._runs[lane], self.believed)
                 self.choice.begun_anew(lane)
         self.choice.decide_until(time_s)

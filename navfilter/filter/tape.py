@@ -156,6 +156,8 @@ class Tape(Shown):
     ----------
     each_sample : bool
         There is a row at every sample of the drive.
+    lent : bool
+        Another run has begun from the state that it leads to.
     """
 
     def __init__(
@@ -183,19 +185,30 @@ class Tape(Shown):
     def begin(self, layout: Any) -> None:
         """Start anew with a layout of the states; what was written before is forgotten."""
         self.given: Tape | None = None
-        self.ended_s = math.inf
+        self.ended_s, self.lent = math.inf, False
         self._fresh(layout)
 
     def begin_again(self, layout: Any, time_s: float) -> None:
         """The run goes back to its start: what it has given out until this time [s] is kept beside what it now writes.
 
         There the tape before is `given`, and that of an earlier time its `given`; their records are forgotten, for the
-        smoother works on what is written last.
+        smoother works on what is written last, unless another run goes on from them (`lent`).
         """
         before = copy.copy(self)
-        before.ended_s, before.records, before._heads = time_s, Spool(0), array("h")
-        self.given = before
+        before.ended_s = time_s
+        if not self.lent:
+            before.records, before._heads = Spool(0), array("h")
+        self.given, self.lent = before, False
         self._fresh(layout)
+
+    @property
+    def times_begun(self) -> int:
+        """How often the run has begun again so far."""
+        return 0 if self.given is None else self.given.times_begun + 1
+
+    def as_of(self, times_begun: int) -> Tape:
+        """The tape as it was when the run had begun again so often, with its records where another was `lent` them."""
+        return self if self.given is None or self.times_begun <= times_begun else self.given.as_of(times_begun)
 
     def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
