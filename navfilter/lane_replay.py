@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.drive_watch import USED
 from navfilter.filter.lane_choice import HISTORY, Choice, LaneHistory
 from navfilter.filter.tape import Tape
 from navfilter.lane_clock import edge_after
@@ -123,16 +125,16 @@ class LaneReplay:
     def _compare(self, until_s: float) -> None:
         """Take what the lanes foretold since this was last called, in the order of time."""
         heard = [
-            (time_s, number, sensor, residual, variance)
+            (time_s, number, sensor, foretold)
             for number, lane in enumerate(self.lanes)
             for sensor, name in enumerate(self.choice.names)
-            for time_s, residual, variance in lane.foretold(name)
+            for time_s, foretold in lane.foretold(name)
         ]
         heard.sort(key=lambda item: item[:3])
         changes = []
-        for time_s, number, sensor, residual, variance in heard:
+        for time_s, number, sensor, foretold in heard:
             changes += self.choice.decide_until(time_s)
-            self.choice.hear(number, sensor, time_s, residual, variance)
+            self.choice.hear(number, sensor, time_s, *foretold)
         if until_s < self._end_s:
             changes += self.choice.decide_until(until_s, behind=True)
         self.changes += [(time_s, self.lanes[number].name) for time_s, number, _ in changes]
@@ -163,6 +165,7 @@ class _Lane:
         done = int(np.searchsorted(self._times, start.time_s - 1e-9))
         self._passage = Passage(self.nav, self._times, values, self._readings, done)
         self._told: dict[str, int] = {}
+        self._out = self._left_out()
         self.pieces = [Piece(tape, start.time_s)]
 
     @property
@@ -179,14 +182,30 @@ class _Lane:
         if progress is not None:
             progress(self._passage.at - before)
 
-    def foretold(self, name: str) -> Iterator[tuple[float, list[float], list[float]]]:
-        """Readings of a sensor since this was last asked: time, residuals, their variances."""
-        first = self._told.get(name, 0)
+    def _left_out(self) -> set[str]:
+        """Axes of its unit that something else stands in for, now."""
+        filter = self.nav.filter
+        return set(filter.watch.left_out(filter.memory.watch))
+
+    def _carried(self) -> tuple[list[float], list[bool]]:
+        """From when on [s] something stood in for an axis of its unit, and from when on nothing."""
+        out, times, carried = set(self._out), [-math.inf], [bool(self._out)]
+        for time_s, axis, condition in self.pieces[-1].tape.first_axes():
+            (out.discard if condition in USED else out.add)(axis)
+            times.append(time_s)
+            carried.append(bool(out))
+        return times, carried
+
+    def foretold(self, name: str) -> Iterator[tuple[float, tuple[list[float], list[float], bool]]]:
+        """Readings of a sensor since this was last asked: time; residuals, their variances, and whether something stood
+        in for axes of the unit.
+        """
+        first, (times, carried) = self._told.get(name, 0), self._carried()
         rows = self.pieces[-1].tape.first_notes(name, first)
         self._told[name] = first + len(rows)
         axes = (rows.shape[1] - 4) // 2
         for row in rows[rows[:, 2] > 0.0].tolist():
-            yield row[0], row[4 : 4 + axes], row[4 + axes :]
+            yield row[0], (row[4 : 4 + axes], row[4 + axes :], carried[bisect.bisect_right(times, row[0]) - 1])
 
     def begin_anew(self, source: _Lane, tape: Tape) -> None:
         """From the state of another lane, on another tape."""
@@ -200,7 +219,7 @@ class _Lane:
         for name, sensor in filter.in_force.sensors.items():
             tape.column(name, sensor.axes)
             tape.models[name] = [(now_s, sensor.error)]
-        filter.tape, self._told = tape, {}
+        filter.tape, self._told, self._out = tape, {}, self._left_out()
         self.pieces.append(Piece(tape, now_s, written, *stood, new.transition, new.M))
 
 

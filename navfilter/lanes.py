@@ -290,7 +290,8 @@ class LaneNavigator(Running):
             if sensor is not None and outcome.dof:
                 note = run.filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
-                self.choice.hear(i, sensor, reading.time_s, note[3 : 3 + axes].tolist(), note[3 + axes :].tolist())
+                foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
+                self.choice.hear(i, sensor, reading.time_s, *foretold, run.filter.watch.lost(run.filter.memory.watch))
             if run is believed:
                 result = outcome
         assert result is not None

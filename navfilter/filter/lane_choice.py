@@ -84,6 +84,8 @@ class ChoiceMemory:
         Step at which each lane has begun anew; minus infinity: with the run.
     doubted : ndarray, shape (lanes,)
         1: something has been wrong with it, and it is to begin anew.
+    carried : ndarray, shape (lanes,)
+        1: at the last reading that it foretold, its unit was silent, or axes of it were left out.
     ahead : ndarray, shape (lanes,)
         No later part of the last minute has given a lane more than this before the one in force [nat] (Page, 1954):
         only beyond `MARGIN` the parts are looked at.
@@ -101,6 +103,7 @@ class ChoiceMemory:
     ring: Array
     begun: Array
     doubted: Array
+    carried: Array
     ahead: Array
     away: Array
     why: Array
@@ -176,6 +179,7 @@ class Choice:
             ring=np.zeros((STEPS, *shape)),
             begun=np.full(len(inertial), -math.inf),
             doubted=np.zeros(len(inertial)),
+            carried=np.zeros(len(inertial)),
             ahead=np.zeros(len(inertial)),
             away=np.full(away, math.nan),
             why=np.zeros((3, len(self.names))),
@@ -195,11 +199,24 @@ class Choice:
             return f"the lane before ran away from {self.names[sensor]}, by {moved[sensor]:.1f} m/s"
         if against.any():
             return f"{self.names[int(np.argmax(against))]} went on to contradict the lane before"
+        if gain.sum() <= MARGIN:
+            return "something stood in for the unit of the lane before" if self.memory.why.any() else ""
         told = [f"{self.names[i]} by {gain[i]:.0f} nat" for i in np.argsort(-gain).tolist() if gain[i] >= 1.0]
         return f"it foretold better: {', '.join(told)}" if told else ""
 
-    def hear(self, lane: int, sensor: int, time_s: float, residual: Sequence[float], variance: Sequence[float]) -> None:
-        """What a lane foretold of a reading: measured minus foretold, and variance of that, by component."""
+    def hear(
+        self,
+        lane: int,
+        sensor: int,
+        time_s: float,
+        residual: Sequence[float],
+        variance: Sequence[float],
+        carried: bool = False,
+    ) -> None:
+        """What a lane foretold of a reading: measured minus foretold, and variance of that, by component; `carried`:
+        something else stands in for axes of its unit.
+        """
+        self.memory.carried[lane] = carried
         gained = short = judged = nis = most = 0.0
         for e, v, sd in zip(residual, variance, self._sd[sensor], strict=True):
             if v > 0.0 and math.isfinite(v) and not math.isnan(e):
@@ -249,9 +266,11 @@ class Choice:
         now, newest = memory.lane, memory.ring[memory.step % STEPS, :, :, GAIN].sum(axis=1)
         missed = self._missed()
         short = missed.sum(axis=1)
-        memory.doubted[self._inertial & (short - short[now] > MARGIN)] = 1.0
+        gained = memory.ring[..., GAIN].sum(axis=(0, 2))
+        memory.doubted[self._inertial & (short - short[now] > MARGIN) & (gained < gained[now])] = 1.0
         memory.ahead = np.maximum(memory.ahead + newest - newest[now], 0.0)
         calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > ALONE).any()
+        calm &= memory.carried[now] == 0.0
         if calm and not (memory.ahead > MARGIN).any():
             return False
         newest_first = (memory.step - np.arange(STEPS)) % STEPS
@@ -259,11 +278,16 @@ class Choice:
         more = gains.sum(axis=2)
         more -= more[:, now : now + 1]
         memory.ahead = np.maximum(more.max(axis=0), 0.0)
-        ready = self._inertial & (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / STEP_S)
-        ready &= (more > MARGIN).any(axis=0)
+        sound = (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / STEP_S)
+        # a unit that is stood in for follows the sensors as the lane without one does, and is taken as that is
+        felt = self._inertial & (memory.carried == 0.0)
+        better = (more > MARGIN).any(axis=0)
+        if memory.carried[now]:  # what is lost without a unit, no reading need tell: one that feels is worth more
+            better |= more[-1] > 0.0
+        ready = felt & sound & better
         best = now if not ready.any() else int(np.argmax(np.where(ready, more.max(axis=0), -math.inf)))
         span, beside = int(np.argmax(more[:, best])), np.zeros((2, len(self.names)))
-        for lane in np.flatnonzero(~self._inertial).tolist():
+        for lane in np.flatnonzero(~felt & (sound | ~self._inertial)).tolist():
             each = gains[:, lane] - gains[:, best]
             both = (each.sum(axis=1) > MARGIN) & ((each > SECOND).sum(axis=1) > 1)
             single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)])
