@@ -402,7 +402,7 @@ class LaneNavigator(Running):
         for lane in memory.lanes.values():
             lane.run = lane.run.whole()
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = snapshots.Saved(self.start, length_s, memory, inputs, {}, self.clock.memory)
+        saved = snapshots.Saved(self.start, length_s, memory, inputs, {}, self.clock.memory, [])
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod

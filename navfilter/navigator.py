@@ -385,10 +385,9 @@ class Navigator(Running):
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
-        inputs = [*inputs, *self.waiting.readings]
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = snapshots.Saved(self.start, length_s, memory.whole(), inputs, self.watches, self.clock.memory)
-        return snapshots.write(saved, self.vehicle, self.time_s, path)
+        saved = self.start, length_s, memory.whole(), inputs, self.watches, self.clock.memory, self.waiting.readings
+        return snapshots.write(snapshots.Saved(*saved), self.vehicle, self.time_s, path)
 
     @classmethod
     def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> Navigator:
@@ -421,6 +420,10 @@ class Navigator(Running):
         nav.revive(saved.memory)
         for item in saved.inputs:
             nav._given(item)
+        for reading in saved.waiting:
+            if not nav.filter.channels[reading.name].lead_s:
+                raise ValueError(f"a reading of {reading.name} waits")
+            nav.waiting.put(reading)
         nav.clock.go_on(saved.clock)
         return nav
 
@@ -441,9 +444,6 @@ class Navigator(Running):
         """An input of a snapshot, again."""
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
-        if not isinstance(item, np.ndarray) and self.filter.channels[item.name].lead_s and item.time_s > self.time_s:
-            self.waiting.put(item)
-            return
         if self.history is None:
             raise ValueError("it has inputs without a history")
         for take in (self.beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:

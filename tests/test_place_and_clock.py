@@ -10,6 +10,8 @@ from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
+from navfilter.filter.history import Reading
+from navfilter.filter.memory import differences
 from navfilter.filter.sight import Sight, by_drive
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
@@ -473,3 +475,30 @@ def test_live_is_the_replay_whenever_readings_arrive(latency_s):
     np.testing.assert_allclose(nav.state.velocity_n, track.velocity_n[-1], rtol=0, atol=1e-6 * bool(atol))
     errors = dict(zip(track.state_names, track.states[-1], strict=True))
     np.testing.assert_allclose(nav.errors["dvl.time_offset"], errors["dvl.time_offset"], atol=1e-7 * bool(atol))
+
+
+def test_a_snapshot_has_what_has_waited_and_what_still_does():
+    """Readings that had waited, and been taken since the oldest checkpoint, waited again in the restored run."""
+    vehicle, way = survey(0.1)
+    mission = simulate(vehicle, way, seed=4, duration_s=14.0)
+    nav, events, seen = nf.Navigator(vehicle, mission.start, threads=False), [], set()
+    for name in ("imu", *vehicle.sensors):
+        stream = mission.streams[name]
+        events += [(t, name, row) for t, row in zip(stream.time_s.tolist(), stream.value, strict=True)]
+    for k, (time_s, name, row) in enumerate(sorted(events, key=lambda one: one[:2])):
+        if name == "imu":
+            nav.step(time_s, row[:3], row[3:])
+        else:
+            nav.correct(name, time_s, row)
+        if time_s > 10.0 and k % 23 == 0:
+            again = nf.Navigator.restore(vehicle, nav.snapshot())
+            assert differences(again.memory.filter, nav.memory.filter) == []
+            assert differences(again.waiting.readings, nav.waiting.readings) == []
+            assert again.health.sensors == nav.health.sensors
+            seen.add(len(nav.waiting.readings))
+    assert max(seen) > 0
+    good = nav.snapshot()
+    nav.waiting.put(Reading("sonar", 20.0, np.zeros(1), None))
+    with pytest.raises(ValueError, match="cannot be read"):
+        nf.Navigator.restore(vehicle, nav.snapshot())
+    nf.Navigator.restore(vehicle, good)

@@ -58,6 +58,8 @@ class Saved:
         Samples and readings since.
     watches : dict of str to Watch
     clock : DriveClockMemory
+    waiting : list of Reading
+        Those that are still to be taken.
     """
 
     start: Start
@@ -66,6 +68,7 @@ class Saved:
     inputs: list[NDArray[np.float64] | Reading]
     watches: dict[str, Watch]
     clock: DriveClockMemory
+    waiting: list[Reading]
 
 
 def fingerprint(vehicle: Vehicle) -> str:
