@@ -15,7 +15,8 @@ from typing import Any, NamedTuple, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import block_diagonal
+from navfilter.error_models import Block, block_diagonal
+from navfilter.learning.learned import block_in_force
 
 __all__ = [
     "Calibrated",
@@ -245,10 +246,9 @@ class Group:
         )
 
 
-def _group(start: int, part: Any, period_s: float, name: str) -> Group:
+def _group(start: int, part: Any, blocks: Sequence[Block], period_s: float, name: str) -> Group:
     """The states of a sensor, or of the drive."""
     wandering = {key: model.block(period_s) for key, model in part.wandering().items()}
-    blocks = [m.block(period_s) for m in part.models]
     return Group.build(start, blocks, part.all_parameters(), part.axis_names, part.units, name, wandering)
 
 
@@ -309,13 +309,15 @@ class Layout:
         if like is not None and like[0].drive is drive:
             group = like[1].drive
         else:
-            group = _group(9, drive, drive.period_s, "")
+            group = _group(9, drive, [m.block(drive.period_s) for m in drive.models], drive.period_s, "")
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
             if like is not None and like[0].sensors[name] is sensor:
                 groups[name] = replace(like[1].groups[name], start=start)
             else:
-                groups[name] = _group(start, sensor, 1.0 / sensor.rate_hz, name)
+                period_s = 1.0 / sensor.rate_hz
+                blocks = [block_in_force(m, period_s) for m in sensor.models]
+                groups[name] = _group(start, sensor, blocks, period_s, name)
             start += groups[name].size
         return cls(group, groups)
 

@@ -29,6 +29,8 @@ from navfilter.learning.spectrum import Spectrum
 
 __all__ = [
     "LearnedArma",
+    "as_described",
+    "block_in_force",
     "known_walk",
     "known_white",
     "learned_part",
@@ -56,7 +58,8 @@ class LearnedArma(ErrorModel):
     Parameters
     ----------
     prior : ErrorModel, optional
-        What is believed beforehand, and in force until the first model has been learnt. The slow part's standard
+        What is believed beforehand, and in force until the first model has been learnt, beside as much white noise as
+        it is large: it may be quick. The slow part's standard
         deviation is believed within a factor of e, its time constant hardly (`navfilter.learning.slow.SlowPrior`);
         white noise alone excludes slow errors, as long as the readings are white. Default: that of the sensor's kind.
     orders : sequence of (p, q)
@@ -237,6 +240,36 @@ def register_block(model: ArmaModel) -> Block:
         g[k] = 1.0
     Q = variance * np.outer(g, g)
     return Block(Phi, Q, np.eye(k + q)[0], 0.0, stationary_covariance(Phi, Q))
+
+
+def as_described(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
+    """Error models with the prior in place of a learnt part that has no model yet: nothing will be learnt."""
+    described = []
+    for model in models:
+        part = learned_part(model)
+        if part is not None and part.model is None and part.prior is not None:
+            prior = part.prior.parts if isinstance(part.prior, Sum) else (part.prior,)
+            known = tuple(one for one in (model.parts if isinstance(model, Sum) else ()) if one is not part)
+            parts = (*known, *prior)
+            model = Sum(parts) if len(parts) > 1 else parts[0]
+        described.append(model)
+    return tuple(described)
+
+
+def block_in_force(model: ErrorModel, period_s: float) -> Block:
+    """Block of a sensor's error model: as described, but for a learnt part that has nothing but its prior. How quick an
+    error is nobody knows before readings show it: until then as much white noise stands beside it as it is large.
+
+    Two of three readings of a second are believed too much where an error that was described to last for half a minute
+    is quick: a depth gauge of 16 mm told a vertical velocity that was off by five of its standard deviations, and was
+    refused from then on.
+    """
+    block, part = model.block(period_s), learned_part(model)
+    if part is None or part.model is not None or part.prior is None:
+        return block
+    parts = part.prior.parts if isinstance(part.prior, Sum) else (part.prior,)
+    blocks = [one.block(period_s) for one in parts if not isinstance(one, RandomWalk)]
+    return replace(block, r=block.r + sum(float(one.C @ one.P0 @ one.C) for one in blocks if one.size))
 
 
 def register_labels(model: ArmaModel) -> list[tuple[str, int]]:

@@ -21,7 +21,7 @@ from navfilter.learning import conflict
 from navfilter.learning.conflict import CONTRADICTED, Stretches, departure, is_near
 from navfilter.learning.doubtful import doubtful_ticks
 from navfilter.learning.kept import Kept
-from navfilter.learning.learned import learning_part
+from navfilter.learning.learned import as_described, learning_part
 from navfilter.learning.learning_memory import Again, LearningMemory, relaid
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
 from navfilter.learning.rest import RestRecorder, estimates
@@ -370,7 +370,7 @@ class LearningSchedule:
         models = {name: listener.memory.models for name, listener in self.listeners.items()}
         described = {name: listener.described for name, listener in self.listeners.items()}
         if models != described and max(departure(self.filter), self._told.disagreement) >= CONTRADICTED:
-            in_force = self.filter.described_models(described)
+            in_force = self.filter.described_models({name: as_described(own) for name, own in described.items()})
             self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
 
     @property
@@ -404,8 +404,9 @@ class LearningSchedule:
         if self._stage > len(self.EARLY_S):
             self.beginning = None
             if self._refused:
-                for listener in self.listeners.values():
+                for name, listener in self.listeners.items():
                     listener.give_up()
+                    self._waiting = (*self._waiting, Change(name, as_described(listener.described)))
 
     def adopted_by_hand(self, name: str = "") -> None:
         """The user has put a model of a sensor in force, or the state is another's: the beginning is not done again.
