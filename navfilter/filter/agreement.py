@@ -33,6 +33,7 @@ __all__ = [
     "disproved",
     "heard",
     "is_back",
+    "is_gauge",
     "is_none",
     "judges",
     "limits",
@@ -56,6 +57,8 @@ HELD = 0.25
 #: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
 #: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
 SURFACED = chi_square_limit(0.99, np.arange(1, 4))
+#: A height that is off from its gauge by so many times as much as at first has gone away from it [1].
+GROWN = 3.0
 #: A constant that is off by no more of its standard deviations is zero but for chance [1]: one in three is off by more.
 CHANCE = 1.0
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
@@ -66,6 +69,11 @@ AGAIN = 0.02
 def judges(channel: Channel) -> bool:
     """Whether anything is to be made of refused readings of its kind that agree."""
     return channel.sensor.open_loop != listen.NOTHING or channel.sensor.north is not None
+
+
+def is_gauge(channel: Channel) -> bool:
+    """Whether it tells the height, and nothing else."""
+    return channel.sensor.open_loop == listen.POSITION and channel.axes == 1
 
 
 def alike(one: Channel, other: Channel) -> bool:
@@ -184,12 +192,25 @@ def disproved(channel: Channel, time_s: float) -> bool:
     return left and time_s - memory.rejected_since_s > SPAN_S
 
 
-def decided(channel: Channel) -> Literal["state", "sensor"] | None:
+def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"] | None:
     """What is wrong, when the refused readings of a channel agree: the state where it was not confirmed, the sensor
-    where it had confirmed the state and left it at once. None: they do not agree, or nobody can say.
+    where it had confirmed the state and left it at once; and the state where it is a height that nothing but
+    accelerometers carries, which goes further and further away from its gauge. None: they do not agree, or nobody can
+    say.
+
+    Parameters
+    ----------
+    channel : Channel
+        As its refused reading left it.
+    carried : bool
+        Whether a velocity carries the height.
     """
     memory, kind = channel.memory, channel.sensor.open_loop
     refused = memory.refused
+    if refused is not None and not carried and is_gauge(channel) and refused.last_s - memory.rejected_since_s >= SPAN_S:
+        off = float(np.abs(channel.res[0]))
+        if off > GROWN * abs(refused.first[0]) and off < REACH_M:
+            return "state"
     if refused is None or not refused.agree(VELOCITY_SPAN_S if kind == listen.VELOCITY else SPAN_S):
         return None
     fixes = kind == listen.POSITION and channel.axes == 3
@@ -204,7 +225,7 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
 
 
 # ---------------------------------------------------------------- the state was wrong
-def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool) -> Array:
+def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool, carried: bool) -> Array:
     """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
 
     The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
@@ -220,6 +241,9 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
         Distance from the start [m].
     held : bool
         Whether another sensor tells the height, and agrees.
+    carried : bool
+        Whether a velocity carries the height. Else a height that has gone away from its gauge went with a vertical
+        velocity that was off by as much as it has grown in that time.
     """
     V = np.zeros((9, 9))
     offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])
@@ -242,6 +266,12 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
         size[2] = size[2] if beyond[2] and not (held and beyond[:2].any()) else 0.0
     N = channel.near[:, first : first + 3]
     V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
+    if is_gauge(channel) and not carried:
+        span_s = refused.last_s - channel.memory.rejected_since_s
+        # as the time, or as its square: the velocity is one or two times the mean one
+        off, mean = offset @ N, offset @ N / span_s
+        V[:3, 3:6], V[3:6, :3] = 1.5 * np.outer(off, mean), 1.5 * np.outer(mean, off)
+        V[3:6, 3:6] = (1.5**2 + 0.5**2) * np.outer(mean, mean)
     if kind == listen.VELOCITY and channel.sensor.ground != over_ground.AXES:
         known = over_ground.components(channel, seen).astype(bool)
         A = over_ground.as_velocity(channel, known)

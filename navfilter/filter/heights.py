@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["open_both", "undecided"]
+__all__ = ["are_carried", "open_both", "undecided"]
 
 #: Of the height among the navigation states.
 DOWN = 2
@@ -61,9 +61,13 @@ def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
         whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
         if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
-    confirmed = channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S
+    return channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S and are_carried(filter, time_s)
+
+
+def are_carried(filter: Filter, time_s: float) -> bool:
+    """Whether a velocity carries the height at this time [s]."""
     used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.aside)
-    return confirmed and (not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S)
+    return not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S
 
 
 def open_both(filter: Filter, channel: Channel, time_s: float) -> None:

@@ -151,7 +151,8 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         kept.refused = refused = replace(refused, back=back)
         if channel.aside and back < LEAST:
             return False
-    wrong = agreement.decided(channel)
+    carried = heights.are_carried(filter, time_s)
+    wrong = agreement.decided(channel, carried)
     if wrong == "sensor" or refused.back >= LEAST:
         _jumped(filter, channel, time_s)
         return False
@@ -167,7 +168,10 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         other.sensor.corrects == "depth" and other is not channel and time_s - other.memory.used_s < agreement.SPAN_S
         for other in filter.channels.values()
     )
-    memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m, held)
+    memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m, held, carried)
+    if agreement.is_gauge(channel) and not carried:
+        drive = filter.layout.drive
+        memory.P[drive.slice, drive.slice] += drive.P0
     north = channel.sensor.north
     if north is not None:
         angle, variance = refused.offset[north], refused.variance[north] + channel.slow[north]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.slack import reckoned, wander
+from navfilter.kernels import listen
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
@@ -60,17 +61,20 @@ class Scatter:
         Of the last reading [s].
     last : tuple of float
         Residual of that one, then by how much it differed from the one before; empty while nothing is looked at.
-    squares : tuple of tuple of float
-        By axis: squares of second differences, as variances of one reading.
+    bends : tuple of tuple of float
+        Second differences of its readings by axis, then what else than noise is in each, as variances of one reading.
     excess : tuple of float
         What is added to the variance of the next reading, by axis; empty where nothing is. Infinite: it says nothing.
+    alone : int
+        So many readings on end, up to the last, were refused.
     """
 
     refused: float
     time_s: float
     last: tuple[float, ...] = ()
-    squares: tuple[tuple[float, ...], ...] = ()
+    bends: tuple[tuple[float, ...], ...] = ()
     excess: tuple[float, ...] = ()
+    alone: int = 0
 
     @property
     def watched(self) -> bool:
@@ -111,58 +115,76 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
     if frozen or channel.aside or filter.watch.busy(filter.memory.watch) or not (watched or refused >= REFUSED):
         channel.memory.scatter = Scatter(refused, time_s)
         return nis
-    residual, squares, excess = channel.note[3 : 3 + a].copy(), kept.squares, np.array(kept.excess)
+    residual, bends, excess = channel.note[3 : 3 + a].copy(), kept.bends, np.array(kept.excess)
     added = bool(kept.excess) and not kept.worthless
     step = np.full(a, math.nan)
     if watched and dt <= APART * channel.period_s:
         before, step_before = np.array(kept.last).reshape(2, a)
         step = residual - before
         channel.wrap(step)
-        squares = (*squares, tuple(((step - step_before) ** 2 / WHITE).tolist()))[-MOST:]
+        slack = _slack(filter, channel, added or kept.alone > 1)
+        bends = (*bends, (*(step - step_before).tolist(), *slack.tolist()))[-MOST:]
     plain = np.diag(channel.R) - excess if added else np.diag(channel.R)
-    table, expected = np.array(squares).reshape(-1, a), plain + _slack(filter, channel)
-    found = beyond(table, expected) if beyond(table[-ENDS:], expected) else ()
-    if len(squares) == MOST and not found and refused < 1.0:
+    table = np.array(bends).reshape(-1, 2, a).transpose(1, 0, 2)
+    found = beyond(*table, plain) if beyond(*table[:, -ENDS:], plain) else ()
+    if len(bends) == MOST and not found and refused < 1.0:
         channel.memory.scatter = None
     else:
-        last = (*residual.tolist(), *step.tolist())
-        channel.memory.scatter = Scatter(refused, time_s, last, squares, found)
+        last, alone = (*residual.tolist(), *step.tolist()), 0 if used else kept.alone + 1
+        channel.memory.scatter = Scatter(refused, time_s, last, bends, found, alone)
     return _by_description(channel, excess) if added else nis
 
 
-def _slack(filter: Filter, channel: Channel) -> Array:
-    """What drive and coloured error add to the variance of a reading, as its second differences tell it, by axis."""
+def _slack(filter: Filter, channel: Channel, alone: bool) -> Array:
+    """What drive and coloured error add to the variance of a reading, as its second differences tell it, by axis.
+
+    A height that is corrected from reading to reading errs by what is known of it. Left alone it goes away with a
+    vertical velocity that is wrong, and nothing of that is in a second difference.
+    """
     memory, sensor, dt = filter.memory, channel.sensor, channel.period_s
     drive = filter.drive_output, filter.vehicle.drive.period_s
+    if filter.inertial and sensor.open_loop == listen.POSITION and channel.axes == 1:
+        walk = float(drive[0][3:, -1].max()) * drive[1] * dt**3 / WHITE
+        seen = 0.0 if alone else channel.S[0, 0] - channel.R[0, 0]
+        return np.asarray(wander(channel, dt) * STEP / WHITE + walk + max(float(seen), 0.0))
     speed = math.hypot(*memory.nav[3:6].tolist())
     return np.asarray((wander(channel, dt) + reckoned(sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
 
 
-def beyond(squares: Array, expected: Array) -> tuple[float, ...]:
+def beyond(bends: Array, slack: Array, white: Array) -> tuple[float, ...]:
     """What a sensor scatters by beyond its variances, by axis; empty where it does not, or where nobody can tell.
 
     Parameters
     ----------
-    squares : ndarray, shape (k, axes)
-        Squares of its second differences, as variances of one reading; NaN where a component was missing.
-    expected : ndarray, shape (axes,)
+    bends : ndarray, shape (k, axes)
+        Second differences of its readings; NaN where a component was missing.
+    slack : ndarray, shape (k, axes)
+        What else than its noise is in each, as a variance of one reading.
+    white : ndarray, shape (axes,)
         Its variances.
 
     Examples
     --------
     >>> readings = np.random.default_rng(1).normal(scale=[0.1, 0.01], size=(40, 2))
-    >>> x, y = beyond(np.diff(readings, n=2, axis=0) ** 2 / WHITE, np.array([1e-4, 1e-4]))
+    >>> bends = np.diff(readings, n=2, axis=0)
+    >>> x, y = beyond(bends, np.zeros_like(bends), np.array([1e-4, 1e-4]))
     >>> bool(0.006 < x < 0.018), y
     (True, 0.0)
     """
     excess = []
-    for own, column in zip(expected.tolist(), squares.T, strict=True):
-        known = np.sort(column[np.isfinite(column)])
-        least = known[: int(KEPT * len(known))] if len(known) >= LEAST else np.zeros(1)
-        variance = float(least.mean()) / MEAN_OF_KEPT
-        beyond_it = math.inf if variance > NO_NOISE * own else variance - own
-        excess.append(beyond_it if variance > LARGER * own else 0.0)
+    for own, column, other in zip(white.tolist(), bends.T, slack.T, strict=True):
+        known = np.isfinite(column)
+        square, other = column[known] ** 2 / WHITE, other[known]
+        ratio, beyond_it = _usual(square / (own + other)), _usual(square - other) - own
+        beyond_it = math.inf if ratio > NO_NOISE else max(beyond_it, (LARGER - 1.0) * own)
+        excess.append(beyond_it if ratio > LARGER else 0.0)
     return tuple(excess) if any(excess) else ()
+
+
+def _usual(squares: Array) -> float:
+    """Mean of squares of normal variables; 0 where they are too few."""
+    kept = np.sort(squares)[: int(KEPT * len(squares))] if len(squares) >= LEAST else np.zeros(1)
+    return float(kept.mean()) / MEAN_OF_KEPT
 
 
 def _by_description(channel: Channel, excess: Array) -> float:
