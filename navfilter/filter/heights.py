@@ -19,19 +19,17 @@ from navfilter.filter.adoption import Change
 from navfilter.filter.agreement import offset_places
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states, with_offsets
+from navfilter.filter.slack import are_carried
 from navfilter.kernels import listen
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["are_carried", "open_both", "undecided"]
+__all__ = ["open_both", "undecided"]
 
 #: Of the height among the navigation states.
 DOWN = 2
-#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
-#: as the square of the time, and the gauge is right.
-CARRIED_S = 5.0
 #: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives.
 CARRIED_M_S = 0.1
 #: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
@@ -62,12 +60,6 @@ def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
         if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
     return channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S and are_carried(filter, time_s)
-
-
-def are_carried(filter: Filter, time_s: float) -> bool:
-    """Whether a velocity carries the height at this time [s]."""
-    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.aside)
-    return not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S
 
 
 def open_both(filter: Filter, channel: Channel, time_s: float) -> None:

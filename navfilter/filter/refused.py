@@ -34,6 +34,7 @@ from navfilter.filter.events import Event
 from navfilter.filter.integrity import FOLLOWED_S, IN_LINE
 from navfilter.filter.offsets import with_offsets
 from navfilter.filter.refusals import LEAST, Refusals
+from navfilter.filter.slack import are_carried
 from navfilter.kernels import listen
 from navfilter.state import NavState
 
@@ -151,7 +152,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         kept.refused = refused = replace(refused, back=back)
         if channel.aside and back < LEAST:
             return False
-    carried = heights.are_carried(filter, time_s)
+    carried = are_carried(filter, time_s)
     wrong = agreement.decided(channel, carried)
     if wrong == "sensor" or refused.back >= LEAST:
         _jumped(filter, channel, time_s)

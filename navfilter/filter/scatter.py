@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.slack import reckoned, wander
+from navfilter.filter.slack import accelerated, are_carried, reckoned, walked, wander
 from navfilter.kernels import listen
 
 if TYPE_CHECKING:
@@ -143,11 +143,12 @@ def _slack(filter: Filter, channel: Channel, alone: bool) -> Array:
     """
     memory, sensor, dt = filter.memory, channel.sensor, channel.period_s
     drive = filter.drive_output, filter.vehicle.drive.period_s
-    if filter.inertial and sensor.open_loop == listen.POSITION and channel.axes == 1:
-        walk = float(drive[0][3:, -1].max()) * drive[1] * dt**3 / WHITE
-        seen = 0.0 if alone else channel.S[0, 0] - channel.R[0, 0]
-        return np.asarray(wander(channel, dt) * STEP / WHITE + walk + max(float(seen), 0.0))
     speed = math.hypot(*memory.nav[3:6].tolist())
+    is_gauge = channel.axes == 1
+    if filter.inertial and sensor.open_loop == listen.POSITION and (is_gauge or not are_carried(filter, memory.time_s)):
+        pushed = (walked(dt, *drive) if is_gauge else accelerated(memory.P, dt, *drive)) * dt**2 / WHITE
+        seen = 0.0 if alone else np.maximum(np.diag(channel.S[: channel.axes] - channel.R), 0.0)
+        return np.asarray(wander(channel, dt) * STEP / WHITE + pushed + seen)
     return np.asarray((wander(channel, dt) + reckoned(sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
 
 
@@ -175,7 +176,9 @@ def beyond(bends: Array, slack: Array, white: Array) -> tuple[float, ...]:
     for own, column, other in zip(white.tolist(), bends.T, slack.T, strict=True):
         known = np.isfinite(column)
         square, other = column[known] ** 2 / WHITE, other[known]
-        ratio, beyond_it = _usual(square / (own + other)), _usual(square - other) - own
+        ratio, telling = _usual(square / (own + other)), other <= np.median(other) if len(other) else other > 0.0
+        # of those that tell most, half of all
+        beyond_it = _usual((square - other)[telling]) - own
         beyond_it = math.inf if ratio > NO_NOISE else max(beyond_it, (LARGER - 1.0) * own)
         excess.append(beyond_it if ratio > LARGER else 0.0)
     return tuple(excess) if any(excess) else ()

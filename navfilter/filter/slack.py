@@ -12,11 +12,15 @@ from navfilter.kernels import listen
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
+    from navfilter.filter.filter import Filter
     from navfilter.sensors import Sensor
 
-__all__ = ["reckoned", "wander"]
+__all__ = ["accelerated", "are_carried", "reckoned", "walked", "wander"]
 
 Array = NDArray[np.float64]
+#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
+#: as the square of the time, and the gauge is right.
+CARRIED_S = 5.0
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 
@@ -34,12 +38,32 @@ def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
 
 def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
     """Variance by which dead reckoning may err in a time, in the units of a sensor."""
-    C, white = drive_output[:, :-1], drive_output[:, -1]
-    m = 9 + C.shape[1]
-    bias = np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C)
     if sensor.north is not None:
-        return float(bias[:3].max() * dt**2 + white[:3].max() * period_s * dt)
+        return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
     if sensor.open_loop == listen.VELOCITY:
-        tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
-        return float((bias[3:].max() + tilt) * dt**2 + white[3:].max() * period_s * dt)
+        return accelerated(P, dt, drive_output, period_s)
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
+
+
+def accelerated(P: Array, dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which accelerometers and tilt may lead a velocity astray in a time [m^2/s^2]."""
+    tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
+    return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + walked(dt, drive_output, period_s)
+
+
+def walked(dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which the noise of accelerometers does [m^2/s^2]."""
+    return float(drive_output[3:, -1].max() * period_s * dt)
+
+
+def _lasting(P: Array, drive_output: Array) -> Array:
+    """Variances of the errors of a drive's axes that last."""
+    C = drive_output[:, :-1]
+    m = 9 + C.shape[1]
+    return np.asarray(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C))
+
+
+def are_carried(filter: Filter, time_s: float) -> bool:
+    """Whether a velocity carries height and position at this time [s]."""
+    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.aside)
+    return not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S
