@@ -123,6 +123,20 @@ class ErrorModel(Typed):
         """
         raise NotImplementedError
 
+    def in_force(self, period_s: float) -> Block:
+        """Discretise as a filter believes the readings: its block, but for what is yet to be learnt.
+
+        Parameters
+        ----------
+        period_s : float
+            Sampling period of the sensor [s].
+
+        Returns
+        -------
+        Block
+        """
+        return self.block(period_s)
+
     def integrated(self, period_s: float) -> Integrated:
         """What this error looks like to an integral of the readings: white noise, and a bias that wanders.
 
@@ -357,6 +371,10 @@ class Sum(ErrorModel):
     def block(self, period_s: float) -> Block:
         """Discretise: the blocks of the parts side by side."""
         return joined_block([part.block(period_s) for part in self.parts])
+
+    def in_force(self, period_s: float) -> Block:
+        """That of the parts side by side."""
+        return joined_block([part.in_force(period_s) for part in self.parts])
 
     def integrated(self, period_s: float) -> Integrated:
         """Part by part: the errors are independent, so that the variances add."""

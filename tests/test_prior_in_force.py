@@ -5,7 +5,7 @@ import pytest
 
 import navfilter as nf
 from navfilter.filter.layout import Layout
-from navfilter.learning.learned import as_described, block_in_force
+from navfilter.learning.learned import as_described
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu
 from navfilter.simulation.scenarios import lawnmower
@@ -27,7 +27,7 @@ SLOW, WHITE = nf.GaussMarkov(sd=0.3, tau_s=40.0), nf.White(sd=0.1)
     ],
 )
 def test_as_much_white_noise_as_the_prior_is_large_stands_beside_it(model, added):
-    plain, block = model.block(0.5), block_in_force(model, 0.5)
+    plain, block = model.block(0.5), model.in_force(0.5)
     assert block.r == pytest.approx(plain.r + added, rel=1e-12)
     for name in ("Phi", "Q", "C", "P0"):
         np.testing.assert_array_equal(getattr(block, name), getattr(plain, name))

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import Block, block_diagonal
-from navfilter.learning.learned import block_in_force
 
 __all__ = [
     "Calibrated",
@@ -316,7 +315,7 @@ class Layout:
                 groups[name] = replace(like[1].groups[name], start=start)
             else:
                 period_s = 1.0 / sensor.rate_hz
-                blocks = [block_in_force(m, period_s) for m in sensor.models]
+                blocks = [m.in_force(period_s) for m in sensor.models]
                 groups[name] = _group(start, sensor, blocks, period_s, name)
             start += groups[name].size
         return cls(group, groups)

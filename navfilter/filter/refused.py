@@ -171,8 +171,9 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     )
     memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m, held, carried)
     if agreement.is_gauge(channel) and not carried:
-        drive = filter.layout.drive
-        memory.P[drive.slice, drive.slice] += drive.P0
+        unit = filter.layout.drive
+        own = np.concatenate(unit.biases[3:])
+        memory.P[unit.start + own, unit.start + own] += unit.P0[own, own]
     north = channel.sensor.north
     if north is not None:
         angle, variance = refused.offset[north], refused.variance[north] + channel.slow[north]

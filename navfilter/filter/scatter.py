@@ -125,8 +125,9 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
         slack = _slack(filter, channel, added or kept.alone > 1)
         bends = (*bends, (*(step - step_before).tolist(), *slack.tolist()))[-MOST:]
     plain = np.diag(channel.R) - excess if added else np.diag(channel.R)
-    table = np.array(bends).reshape(-1, 2, a).transpose(1, 0, 2)
-    found = beyond(*table, plain) if beyond(*table[:, -ENDS:], plain) else ()
+    table = np.array(bends).reshape(-1, 2 * a)
+    own, other = table[:, :a], table[:, a:]
+    found = beyond(own, other, plain) if beyond(own[-ENDS:], other[-ENDS:], plain) else ()
     if len(bends) == MOST and not found and refused < 1.0:
         channel.memory.scatter = None
     else:

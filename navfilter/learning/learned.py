@@ -30,7 +30,6 @@ from navfilter.learning.spectrum import Spectrum
 __all__ = [
     "LearnedArma",
     "as_described",
-    "block_in_force",
     "known_walk",
     "known_white",
     "learned_part",
@@ -59,9 +58,9 @@ class LearnedArma(ErrorModel):
     ----------
     prior : ErrorModel, optional
         What is believed beforehand, and in force until the first model has been learnt, beside as much white noise as
-        it is large: it may be quick. The slow part's standard
-        deviation is believed within a factor of e, its time constant hardly (`navfilter.learning.slow.SlowPrior`);
-        white noise alone excludes slow errors, as long as the readings are white. Default: that of the sensor's kind.
+        it is large: it may be quick. The slow part's standard deviation is believed within a factor of e, its time
+        constant hardly (`navfilter.learning.slow.SlowPrior`); white noise alone excludes slow errors, as long as the
+        readings are white. Default: that of the sensor's kind.
     orders : sequence of (p, q)
         Candidates of the fast part.
     window : int
@@ -185,6 +184,21 @@ class LearnedArma(ErrorModel):
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
 
+    def in_force(self, period_s: float) -> Block:
+        """Its block; while there is nothing but the prior, as much white noise beside it as it is large: how quick an
+        error is nobody knows before readings show it.
+
+        Two of three readings of a second are believed too much where an error that was described to last for half a
+        minute is quick: a depth gauge of 16 mm told a vertical velocity that was off by five of its standard
+        deviations, and was refused from then on.
+        """
+        block = self.block(period_s)
+        if self.model is not None or self.prior is None:
+            return block
+        parts = self.prior.parts if isinstance(self.prior, Sum) else (self.prior,)
+        blocks = [one.block(period_s) for one in parts if not isinstance(one, RandomWalk)]
+        return replace(block, r=block.r + sum(float(one.C @ one.P0 @ one.C) for one in blocks if one.size))
+
     def level(self, period_s: float) -> float:
         """S(0) per sample of its block."""
         if self.model is not None:
@@ -254,22 +268,6 @@ def as_described(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
             model = Sum(parts) if len(parts) > 1 else parts[0]
         described.append(model)
     return tuple(described)
-
-
-def block_in_force(model: ErrorModel, period_s: float) -> Block:
-    """Block of a sensor's error model: as described, but for a learnt part that has nothing but its prior. How quick an
-    error is nobody knows before readings show it: until then as much white noise stands beside it as it is large.
-
-    Two of three readings of a second are believed too much where an error that was described to last for half a minute
-    is quick: a depth gauge of 16 mm told a vertical velocity that was off by five of its standard deviations, and was
-    refused from then on.
-    """
-    block, part = model.block(period_s), learned_part(model)
-    if part is None or part.model is not None or part.prior is None:
-        return block
-    parts = part.prior.parts if isinstance(part.prior, Sum) else (part.prior,)
-    blocks = [one.block(period_s) for one in parts if not isinstance(one, RandomWalk)]
-    return replace(block, r=block.r + sum(float(one.C @ one.P0 @ one.C) for one in blocks if one.size))
 
 
 def register_labels(model: ArmaModel) -> list[tuple[str, int]]:
