@@ -139,18 +139,22 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
 def _slack(filter: Filter, channel: Channel, alone: bool) -> Array:
     """What drive and coloured error add to the variance of a reading, as its second differences tell it, by axis.
 
-    A height that is corrected from reading to reading errs by what is known of it. Left alone it goes away with a
-    vertical velocity that is wrong, and nothing of that is in a second difference.
+    A velocity, or a height, that is corrected from reading to reading errs by what is known of it. Left alone it goes
+    away with a tilt, an accelerometer or a vertical velocity that is wrong: as the time, and nothing of that is in a
+    second difference. So it is with a place that no velocity carries, but for what accelerometers do to it.
     """
     memory, sensor, dt = filter.memory, channel.sensor, channel.period_s
+    kind, gauge = sensor.open_loop, channel.axes == 1
     drive = filter.drive_output, filter.vehicle.drive.period_s
-    speed = math.hypot(*memory.nav[3:6].tolist())
-    is_gauge = channel.axes == 1
-    if filter.inertial and sensor.open_loop == listen.POSITION and (is_gauge or not are_carried(filter, memory.time_s)):
-        pushed = (walked(dt, *drive) if is_gauge else accelerated(memory.P, dt, *drive)) * dt**2 / WHITE
-        seen = 0.0 if alone else np.maximum(np.diag(channel.S[: channel.axes] - channel.R), 0.0)
-        return np.asarray(wander(channel, dt) * STEP / WHITE + pushed + seen)
-    return np.asarray((wander(channel, dt) + reckoned(sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
+    if filter.inertial and kind == listen.VELOCITY:
+        pushed = walked(dt, *drive) * STEP
+    elif filter.inertial and kind == listen.POSITION and (gauge or not are_carried(filter, memory.time_s)):
+        pushed = (walked(dt, *drive) if gauge else accelerated(memory.P, dt, *drive)) * dt**2
+    else:
+        speed = math.hypot(*memory.nav[3:6].tolist())
+        return np.asarray((wander(channel, dt) + reckoned(sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
+    seen = 0.0 if alone else np.maximum(np.diag(channel.S[: channel.axes] - channel.R), 0.0)
+    return np.asarray((wander(channel, dt) * STEP + pushed) / WHITE + seen)
 
 
 def beyond(bends: Array, slack: Array, white: Array) -> tuple[float, ...]:
