@@ -38,6 +38,7 @@ SCRIPTS = {
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),
     "mistakes": ("No other software", ()),
+    "noise_wrong": ("no other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),
     "over_water": ("plain dead reckoning", ()),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks", "wrong")),
