@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.slack import accelerated, are_carried, reckoned, walked, wander
+from navfilter.filter.slack import reckoned, walked, wander
 from navfilter.kernels import listen
 
 if TYPE_CHECKING:
@@ -122,9 +122,10 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
         before, step_before = np.array(kept.last).reshape(2, a)
         step = residual - before
         channel.wrap(step)
-        slack = _slack(filter, channel, added or kept.alone > 1)
+        slack = _known(filter, channel, added or kept.alone > 1)
         bends = (*bends, (*(step - step_before).tolist(), *slack.tolist()))[-MOST:]
     plain = np.diag(channel.R) - excess if added else np.diag(channel.R)
+    plain = plain + _wandered(filter, channel)
     table = np.array(bends).reshape(-1, 2 * a)
     own, other = table[:, :a], table[:, a:]
     found = beyond(own, other, plain) if beyond(own[-ENDS:], other[-ENDS:], plain) else ()
@@ -136,25 +137,35 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
     return _by_description(channel, excess) if added else nis
 
 
-def _slack(filter: Filter, channel: Channel, alone: bool) -> Array:
-    """What drive and coloured error add to the variance of a reading, as its second differences tell it, by axis.
+def _is_apart(filter: Filter, channel: Channel) -> bool:
+    """Whether what leads its readings astray goes as the time: a velocity, and a height, beside accelerometers."""
+    kind = channel.sensor.open_loop
+    return filter.inertial and (kind == listen.VELOCITY or (kind == listen.POSITION and channel.axes == 1))
 
-    A velocity, or a height, that is corrected from reading to reading errs by what is known of it. Left alone it goes
-    away with a tilt, an accelerometer or a vertical velocity that is wrong: as the time, and nothing of that is in a
-    second difference. So it is with a place that no velocity carries, but for what accelerometers do to it.
+
+def _known(filter: Filter, channel: Channel, alone: bool) -> Array:
+    """What of a second difference of such a sensor is no noise, as a variance of one reading, by axis; else 0.
+
+    One that is corrected from reading to reading errs by what is known of it. Left alone it goes away with a tilt, an
+    accelerometer or a vertical velocity that is wrong: as the time, and nothing of that is in a second difference.
     """
-    memory, sensor, dt = filter.memory, channel.sensor, channel.period_s
-    kind, gauge = sensor.open_loop, channel.axes == 1
-    drive = filter.drive_output, filter.vehicle.drive.period_s
-    if filter.inertial and kind == listen.VELOCITY:
-        pushed = walked(dt, *drive) * STEP
-    elif filter.inertial and kind == listen.POSITION and (gauge or not are_carried(filter, memory.time_s)):
-        pushed = (walked(dt, *drive) if gauge else accelerated(memory.P, dt, *drive)) * dt**2
-    else:
-        speed = math.hypot(*memory.nav[3:6].tolist())
-        return np.asarray((wander(channel, dt) + reckoned(sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
+    if not _is_apart(filter, channel):
+        return np.zeros(channel.axes)
+    dt = channel.period_s
+    pushed = walked(dt, filter.drive_output, filter.vehicle.drive.period_s)
+    pushed *= STEP if channel.sensor.open_loop == listen.VELOCITY else dt**2
     seen = 0.0 if alone else np.maximum(np.diag(channel.S[: channel.axes] - channel.R), 0.0)
     return np.asarray((wander(channel, dt) * STEP + pushed) / WHITE + seen)
+
+
+def _wandered(filter: Filter, channel: Channel) -> Array:
+    """What drive and coloured error add now to the variance of a reading of any other, by axis; else 0."""
+    if _is_apart(filter, channel):
+        return np.zeros(channel.axes)
+    memory, dt = filter.memory, channel.period_s
+    drive = filter.drive_output, filter.vehicle.drive.period_s
+    speed = math.hypot(*memory.nav[3:6].tolist())
+    return np.asarray((wander(channel, dt) + reckoned(channel.sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
 
 
 def beyond(bends: Array, slack: Array, white: Array) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.sensors import Sensor
 
-__all__ = ["accelerated", "are_carried", "reckoned", "walked", "wander"]
+__all__ = ["are_carried", "reckoned", "walked", "wander"]
 
 Array = NDArray[np.float64]
 #: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
@@ -41,14 +41,9 @@ def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Ar
     if sensor.north is not None:
         return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
     if sensor.open_loop == listen.VELOCITY:
-        return accelerated(P, dt, drive_output, period_s)
+        tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
+        return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + walked(dt, drive_output, period_s)
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
-
-
-def accelerated(P: Array, dt: float, drive_output: Array, period_s: float) -> float:
-    """Variance by which accelerometers and tilt may lead a velocity astray in a time [m^2/s^2]."""
-    tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
-    return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + walked(dt, drive_output, period_s)
 
 
 def walked(dt: float, drive_output: Array, period_s: float) -> float:
