@@ -418,8 +418,7 @@ class LearningSchedule:
         if self.again is not None and not self.again.given_up:  # what was found for that is as good without it
             self._waiting = tuple(Change(listener.name, listener.memory.models) for listener in learning)
         self._waiting = tuple(change for change in self._waiting if change.sensor != name)
-        self.beginning = self.again = None
-        self._stage, self._hopping = len(self.EARLY_S) + 1, False
+        self.beginning, self.again, self._stage, self._hopping = None, None, len(self.EARLY_S) + 1, False
         self._quiet_s = max(self._quiet_s, self._start_s + self.EARLY_S[0])
         for listener in learning:
             listener.take_early()
