@@ -258,15 +258,15 @@ class Navigator(Running):
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
-        learning = self.learning
         if isinstance(item, np.ndarray):
-            learning.keep(item)
+            self.learning.keep(item)
             self.filter.advance(item, self.told, self._room)
+            self.changes += bool(self.filter.memory.quiet)
             return None
         ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
         if not ahead_s > self.filter.ahead_s:
             self.beginning.before(item.time_s)
-        learning.keep(item)
+        self.learning.keep(item)
         self.filter.carry_on(item.name, item.time_s, self.told)
         self.told(correction := self.filter.correct(*item), item.value)
         self.filter.take_up(self.told)

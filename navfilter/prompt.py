@@ -282,6 +282,8 @@ class Prompt:
         known, kept = channel.spot.item(stretch.EQUATION), learning.beginning
         if channel.doubted or not (known and channel.memory.agrees) or nav.waiting.readings or learning.is_waiting:
             return False
+        if memory.quiet:
+            return False
         heads = values = _NO_RING
         if kept is not None:
             if not kept.values.pieces:

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -16,8 +17,12 @@ import same_runs
 from feeding import DRIVE, Event, events_of, in_blocks, one_by_one
 
 import navfilter as nf
+from navfilter.filter.memory import differences
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.presets import tactical_imu
+from navfilter.simulation.scenarios import lawnmower, simulate_scenario
+from navfilter.simulation.simulate import simulate
 
 
 def learning(vehicle):
@@ -215,3 +220,36 @@ def test_memory_does_not_grow(steps, monkeypatch):
     # The history holds 2 s: 20 checkpoints of some 15 kB, more when the learnt model has more states. That is the same
     # whatever the number of steps; one float kept per step would be 0.7 MB.
     assert size < 200_000
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_values_that_are_missing_for_half_a_minute_are_the_same_live_and_replayed(learns):
+    """Between two readings nobody hears anything: one bound to what the vehicle may have done meanwhile, not one for
+    each sample.
+    """
+    sensors = {
+        "compass": nf.Heading(rate_hz=4.0, error=nf.GaussMarkov(sd=0.01, tau_s=20.0) + nf.White(sd=0.005)),
+        "dvl": nf.BodyVelocity(rate_hz=1.0, error=nf.White(sd=0.01)),
+        "depth": nf.Depth(error=nf.White(sd=0.05)),
+        "gps": nf.Position(rate_hz=0.2, error=nf.White(sd=1.0)),
+    }
+    told = nf.Vehicle(tactical_imu(), sensors)
+    vehicle = told.with_error(compass=nf.LearnedArma()) if learns else told
+    mission = simulate(told, lawnmower(160.0), seed=4, duration_s=160.0, faults={"gps": Faults(available="always")})
+    unit = mission.streams["imu"]
+    value = unit.value.copy()
+    value[(unit.time_s > 70.35) & (unit.time_s < 101.2), 3:] = np.nan
+    mission = replace(mission, streams=mission.streams | {"imu": replace(unit, value=value)})
+    track = nf.replay(vehicle, mission, output_rate_hz=None)
+    nav, poses = nf.Navigator(vehicle, mission.start, threads=False), {}
+    for event in events_of(vehicle, mission):
+        one_by_one(nav, [event])
+        pose = nav.pose
+        poses[pose.time_s] = pose.latitude, pose.longitude, pose.height
+        if abs(event.time_s - 85.21) < 0.005:  # between two readings
+            again = nf.Navigator.restore(vehicle, nav.snapshot())
+            assert not differences(again.filter.memory, nav.filter.memory)
+            assert math.sqrt(nav.state.covariance[0, 0]) > 0.05  # half a second of a vehicle at 1.5 m/s
+    rows = zip(track.time_s.tolist(), zip(track.latitude, track.longitude, track.height, strict=True), strict=True)
+    late = {time_s: place for time_s, place in rows if time_s > 45.0}  # a beginning that is done again stands before
+    assert len(late) > 100 * 100 and all(poses[time_s] == place for time_s, place in late.items() if time_s in poses)

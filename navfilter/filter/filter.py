@@ -214,14 +214,16 @@ class Filter(Estimate):
             missing = self.intake.missing(until_s, self.memory.time_s)
             if missing is not None:
                 self._carry(*missing, tell, None)
+        realignment.attend(self, False, tell)
 
     def _carry(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
         """Carry the state over samples, or over rows that stand in for those that are missing."""
         memory, begin, total = self.memory, 0, len(samples)
         each = self.tape is not None and self.tape.each_sample
         whole = total <= self.fold_every - memory.unfolded and not (self._rest or room or each)
-        missing, before_s = self.inertial and total > 0 and math.isnan(samples.item(1)), memory.time_s
-        position = np.diag(memory.P)[:3].copy() if missing else None
+        missing = self.inertial and total > 0 and math.isnan(samples.item(1))
+        if total:
+            realignment.attend(self, missing, tell)
         while begin < total:
             end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
@@ -246,8 +248,6 @@ class Filter(Estimate):
             if self.watch.news(memory.watch):
                 self.heed(tell)
             begin = end
-        if position is not None:
-            realignment.bound(self, position, memory.time_s - before_s, tell)
 
     def heed(self, tell: Listening) -> None:
         """Act on what the watch over the drive has found."""

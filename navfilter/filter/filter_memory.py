@@ -70,6 +70,9 @@ class FilterMemory:
     counts : dict of str to int
     shifts : ndarray, shape (16, 13)
         What the biases of its gyros were at the last looks, see `navfilter.filter.shifts`.
+    quiet : tuple of float
+        Where nothing is heard, be it of the drive or of a sensor: since when [s], and the variances of the position
+        then, north, east and down [m^2]. Else empty.
     """
 
     time_s: float
@@ -88,6 +91,7 @@ class FilterMemory:
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]
     shifts: Array = field(default_factory=shifts.fresh)
+    quiet: tuple[float, ...] = ()
 
     def problem(self, fresh: FilterMemory) -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is.
@@ -124,6 +128,8 @@ class FilterMemory:
         beat = [channel.beat for channel in self.channels.values() if channel.beat]
         if any(len(told) != 2 or not all(type(v) is float for v in told) for told in beat):
             return "what fixes have beaten is not a distance and a time"
+        if self.quiet and (len(self.quiet) != 4 or not all(type(v) is float for v in self.quiet)):
+            return "what was known before nothing was heard is not a time and three variances"
         # kernels use these as places of states
         places = [*strapdown.PLACES, strapdown.INCREMENTS, strapdown.PERIOD_S]
         if not np.array_equal(self.drv[places], fresh.drv[places]):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
-__all__ = ["after_fault", "bound", "set_anew", "tilted"]
+__all__ = ["after_fault", "attend", "set_anew", "tilted"]
 
 Array = NDArray[np.float64]
 #: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
@@ -139,26 +139,45 @@ def set_anew(filter: Filter, tell: Listening) -> None:
     filter.weigh()  # from the same memory it comes out the same, whenever it is recalled
 
 
-def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> None:
-    """After a time in which nothing was heard: no more variance of velocity and position than the vehicle's speed gives
-    them. The velocity that it had may have been that of any direction since.
+def attend(filter: Filter, missing: bool, tell: Listening) -> None:
+    """Note when nothing is heard any more, and take account of it before what is heard next, be it a reading: however
+    the time between is cut into pieces.
 
     Parameters
     ----------
     filter : Filter
-    position : ndarray, shape (3,)
-        Variance of the position before [m^2].
-    seconds : float
-        How long it was.
+        Its memory is changed.
+    missing : bool
+        Whether samples are missing from here on.
+    tell : callable
+        Is told of what changes.
+    """
+    memory = filter.memory
+    if missing and not memory.quiet:
+        memory.quiet = (memory.time_s, *np.diag(memory.P)[:3].tolist())
+    elif memory.quiet and not missing:
+        _bound(filter, tell)
+
+
+def _bound(filter: Filter, tell: Listening) -> None:
+    """After a time in which nothing was heard, before the next reading or sample: no more variance of velocity and
+    position than the vehicle's speed gives them. The velocity that it had may have been that of any direction since.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory says since when, and the variance of the position before.
     tell : callable
         Is told of it.
     """
+    (begun_s, *position), filter.memory.quiet = filter.memory.quiet, ()
+    seconds = filter.memory.time_s - begun_s
     memory, state = filter.memory, filter.state
     assert state.covariance is not None
     speed = float(np.linalg.norm(state.velocity_n))
     most = float(most_speed(speed, filter.vehicle.drive.max_speed_m_s))
     velocity = (0.5 * (most + speed)) ** 2
-    most_variance = np.concatenate([position + velocity * seconds**2, np.full(3, velocity)])
+    most_variance = np.concatenate([np.array(position) + velocity * seconds**2, np.full(3, velocity)])
     shrink = np.sqrt(np.minimum(1.0, most_variance / np.diag(state.covariance)[:6]))
     if (shrink < 1.0).any():
         M = np.eye(len(memory.P))
