@@ -195,7 +195,8 @@ def beyond(bends: Array, slack: Array, white: Array) -> tuple[float, ...]:
         ratio, telling = _usual(square / (own + other)), other <= np.median(other) if len(other) else other > 0.0
         # of those that tell most, half of all
         beyond_it = _usual((square - other)[telling]) - own
-        beyond_it = math.inf if ratio > NO_NOISE else max(beyond_it, (LARGER - 1.0) * own)
+        beyond_it = min(max(beyond_it, (LARGER - 1.0) * own), NO_NOISE * own)
+        beyond_it = math.inf if ratio > NO_NOISE else beyond_it
         excess.append(beyond_it if ratio > LARGER else 0.0)
     return tuple(excess) if any(excess) else ()
 

@@ -45,6 +45,9 @@ Array = NDArray[np.float64]
 DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 3))
 #: The window counts as this long at most where slow and fast errors are told apart [s]: what a heading forgets.
 LONGEST_SPAN_S = 500.0
+#: Colour is described as quick if its correlation time is shorter than this part of the window's span [1], see
+#: `navfilter.learning.quick`.
+QUICKER = 200.0
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,9 @@ class LearnedArma(ErrorModel):
     ----------
     prior : ErrorModel, optional
         What is believed beforehand, and in force until the first model has been learnt, beside as much white noise as
-        it is large: it may be quick. The slow part's standard deviation is believed within a factor of e, its time
-        constant hardly (`navfilter.learning.slow.SlowPrior`); white noise alone excludes slow errors, as long as the
-        readings are white. Default: that of the sensor's kind.
+        what is slow in it is large: it may be quick. The slow part's standard deviation is believed within a factor of
+        e, its time constant hardly (`navfilter.learning.slow.SlowPrior`); white noise alone excludes slow errors, as
+        long as the readings are white. Default: that of the sensor's kind.
     orders : sequence of (p, q)
         Candidates of the fast part.
     window : int
@@ -185,8 +188,8 @@ class LearnedArma(ErrorModel):
         return self.prior.block(period_s)
 
     def in_force(self, period_s: float) -> Block:
-        """Its block; while there is nothing but the prior, as much white noise beside it as it is large: how quick an
-        error is nobody knows before readings show it.
+        """Its block; while there is nothing but the prior, as much white noise beside it as its slow parts are large:
+        how quick an error is nobody knows before readings show it. Parts that are described as quick are so already.
 
         Two of three readings of a second are believed too much where an error that was described to last for half a
         minute is quick: a depth gauge of 16 mm told a vertical velocity that was off by five of its standard
@@ -195,9 +198,13 @@ class LearnedArma(ErrorModel):
         block = self.block(period_s)
         if self.model is not None or self.prior is None:
             return block
-        parts = self.prior.parts if isinstance(self.prior, Sum) else (self.prior,)
-        blocks = [one.block(period_s) for one in parts if not isinstance(one, RandomWalk)]
-        return replace(block, r=block.r + sum(float(one.C @ one.P0 @ one.C) for one in blocks if one.size))
+        added, quick_s = 0.0, min(self.window * period_s, LONGEST_SPAN_S) / QUICKER
+        for part in self.prior.parts if isinstance(self.prior, Sum) else (self.prior,):
+            one = part.block(period_s)
+            if one.size and not isinstance(part, RandomWalk):
+                variance, power = float(one.C @ one.P0 @ one.C), 0.5 * (block_level(one) - one.r) * period_s
+                added += variance if power >= quick_s * variance else 0.0
+        return replace(block, r=block.r + added)
 
     def level(self, period_s: float) -> float:
         """S(0) per sample of its block."""
