@@ -22,6 +22,7 @@ from navfilter.filter.memory import differences
 from navfilter.kernels import listen
 from navfilter.learning import conflict, schedule
 from navfilter.learning.conflict import CONTRADICTED, departure, is_near
+from navfilter.learning.learned import learned_part
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.scenarios import survey_vehicle
@@ -186,6 +187,32 @@ def test_learnt_models_stay_where_the_constants_speak_against_any(mission, few_h
     assert asked and track.counts["given-up"] == 0
     np.testing.assert_array_equal(track.covariance, undisturbed.covariance)
     np.testing.assert_array_equal(track.latitude, undisturbed.latitude)
+
+
+@pytest.mark.parametrize("taken", [0, 1])
+def test_refused_to_the_end_the_sensor_is_as_described_or_as_was_taken_before(mission, few_hops, monkeypatch, taken):
+    """While something may still be learnt, white noise stands beside the prior; a model that was taken stays."""
+    described, learning, recorded, _ = mission
+    monkeypatch.setattr(LearningSchedule, "EARLY_S", (16.0, 21.0))
+    monkeypatch.setattr(LearningSchedule, "REVISED_S", 26.0)
+    monkeypatch.setattr(LearningSchedule, "ASKED_S", math.inf)
+    monkeypatch.setattr(LearningSchedule, "ANOTHER", -1.0)  # every model is worth it
+    monkeypatch.setattr(LearningSchedule, "compares", property(lambda one: one.again is not None))
+    no_better, asked = LearningSchedule.is_no_better, []
+
+    def refuses(own, other):
+        asked.append(own)
+        monkeypatch.setattr(conflict, "WORSE", math.inf if len(asked) <= taken else -math.inf)  # whatever fixes say
+        return no_better(own, other)
+
+    monkeypatch.setattr(LearningSchedule, "is_no_better", refuses)
+    track = nf.replay(learning, recorded)
+    assert len(asked) > taken
+    ends = track.error_models["compass"][-1][1]
+    if taken:
+        assert learned_part(ends if isinstance(ends, nf.ErrorModel) else ends[0]).model is not None
+    else:
+        assert ends in (described.sensors["compass"].error, described.sensors["compass"].models)
 
 
 def test_live_with_threads_and_from_a_snapshot_it_is_the_same(mission, few_hops):

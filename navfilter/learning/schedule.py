@@ -403,10 +403,11 @@ class LearningSchedule:
         self._stage, self._hopping, self.again = self._stage + 1, False, None
         if self._stage > len(self.EARLY_S):
             self.beginning = None
-            if self._refused:
-                for name, listener in self.listeners.items():
-                    listener.give_up()
-                    self._waiting = (*self._waiting, Change(name, as_described(listener.described)))
+            for name, listener in self.listeners.items() if self._refused else ():
+                listener.give_up()
+                in_force = self.filter.channels[name].sensor.models  # what was taken before stays
+                if (plain := as_described(in_force)) != in_force:
+                    self._waiting += (Change(name, plain),)
 
     def adopted_by_hand(self, name: str = "") -> None:
         """The user has put a model of a sensor in force, or the state is another's: the beginning is not done again.
@@ -438,8 +439,7 @@ class LearningSchedule:
             self.rest.begin_again()
         names = tuple(self.filter.channels)
         inputs, self.beginning = self.beginning or Kept(names), Kept(names)
-        self._quiet_s = until_s
-        self._waiting = ()
+        self._quiet_s, self._waiting = until_s, ()
         if self.again is not None and not self.again.given_up:
             self._levels = self._present_levels()
         elif self.again is not None:
