@@ -192,12 +192,13 @@ def beyond(bends: Array, slack: Array, white: Array) -> tuple[float, ...]:
     for own, column, other in zip(white.tolist(), bends.T, slack.T, strict=True):
         known = np.isfinite(column)
         square, other = column[known] ** 2 / WHITE, other[known]
-        ratio, telling = _usual(square / (own + other)), other <= np.median(other) if len(other) else other > 0.0
-        # of those that tell most, half of all
-        beyond_it = _usual((square - other)[telling]) - own
-        beyond_it = min(max(beyond_it, (LARGER - 1.0) * own), NO_NOISE * own)
-        beyond_it = math.inf if ratio > NO_NOISE else beyond_it
-        excess.append(beyond_it if ratio > LARGER else 0.0)
+        ratio, beyond_it = _usual(square / (own + other)), 0.0
+        if ratio > NO_NOISE:
+            beyond_it = math.inf
+        elif ratio > LARGER:
+            telling = other <= np.median(other)  # half of all
+            beyond_it = min(max(_usual((square - other)[telling]) - own, (LARGER - 1.0) * own), NO_NOISE * own)
+        excess.append(beyond_it)
     return tuple(excess) if any(excess) else ()
 
 
