@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from harness import Array, Options, Table, flag, main, quick
 from honest_constants import drawn
+from pygeomag import GeoMag
 from random_reckoning import reckoning
 from random_vehicles import MOTIONS, between, chance, north, place, unit, velocity
 
@@ -30,6 +31,8 @@ from navfilter.simulation.simulate import StartErrors, simulate
 
 #: Scored from then on [s]; a case is looked at again whose NEES is above this [1].
 BEGIN_S, ODD = 30.0, 5.0
+#: A horizontal field in which a compass hardly points [nT]; the model's own caution zone ends at 6000.
+STEEP_NT = (1000.0, 8000.0)
 WHAT = ("position", "velocity", "attitude", "heading")
 
 
@@ -45,8 +48,10 @@ class Case:
     start: StartErrors
 
     @classmethod
-    def of(cls, number: int, drive: str) -> Case:
+    def of(cls, number: int, drive: str, magnetometer: str | None = None) -> Case:
         """That of a number, always the same."""
+        if magnetometer:
+            return cls.with_magnetometer(number, magnetometer == "steep")
         return cls.drawn(number) if drive == "imu" else cls.reckoned(number)
 
     @classmethod
@@ -57,6 +62,21 @@ class Case:
         fixes = "always" if chance(r, 0.4) or motion == "boat" else "surface"
         start = StartErrors(heading_sd_deg=between(r, 0.5, 8.0), tilt_sd_deg=between(r, 0.1, 1.0))
         return cls(vehicle, motion, way, min(duration_s, way.duration_s), fixes, start)
+
+    @classmethod
+    def with_magnetometer(cls, number: int, steep: bool) -> Case:
+        """One with a unit and a magnetometer: the first in a thousand numbers; if `steep`, where a compass hardly points."""
+        number *= 1000
+        while not getattr((case := cls.drawn(number)).vehicle.sensors.get("compass"), "magnetometer", False):
+            number += 1
+        r = np.random.default_rng([number, 3])
+        while steep:
+            north_deg, east_deg = float(r.uniform(-80.0, 85.0)), float(r.uniform(-180.0, 180.0))
+            field = GeoMag(base_year=2025).calculate(north_deg, east_deg, 0.0, 2026.5)
+            if STEEP_NT[0] < field.h < STEEP_NT[1]:
+                way = replace(case.way, latitude_deg=north_deg, longitude_deg=east_deg)
+                return replace(case, way=way)
+        return case
 
     @classmethod
     def drawn(cls, number: int) -> Case:
@@ -127,7 +147,7 @@ def honest_random(options: Options) -> dict[str, Any]:
     table = Table("case<6 run<8 " + " ".join(f"{head}>{len(head) + 1}.1f" for head in heads) + " vehicle<60")
     found: list[Array] = []
     for number in range(options.first, options.first + (4 if options.quick else options.cases)):
-        case = Case.of(number, options.drive)
+        case = Case.of(number, options.drive, options.magnetometer)
         told = figures(case.vehicle, case.mission(10 * number))
         nees = figures(case.learns(number), case.mission(10 * number)) if options.learn else told
         found.append(nees)
@@ -156,6 +176,7 @@ if __name__ == "__main__":
         flag("--cases", type=int, default=200, help="how many"),
         flag("--first", type=int, default=10_000, help="number of the first"),
         flag("--drive", choices=["imu", "dead-reckoning"], default="imu", help="a unit, or a velocity and a heading"),
+        flag("--magnetometer", choices=["anywhere", "steep"], help="only those with one; steep: near a magnetic pole"),
         flag("--again", type=int, default=5, help="other missions of an odd one"),
         flag("--learn", action="store_true", help="with errors that are learnt"),
         quick("four of them"),

@@ -1810,8 +1810,16 @@ def deviation_bend(z, near, P, first, cfg, R):
     R[0, 0] += cfg[4] * (turns @ P[at, at] @ turns * P[8, 8] + (turns @ P[at, 8]) ** 2)
 
 
+def tilt_bend(z, near, P, first, cfg, R):
+    across = near[0, 6:8]
+    both = np.array([across, [across[1], -across[0]]])  # what a tilt does to the azimuth, and to the length
+    (aa, ab), (_, bb) = both @ P[6:8, 6:8] @ both.T
+    R[0, 0] += cfg[5] * (aa * bb + 2.0 * ab**2 + 15.0 / 4.0 * aa**3)
+
+
 def iron_bend(z, near, P, first, cfg, R):
     m, hard, soft = z[:3], int(cfg[2]), int(cfg[3])
+    tilt_bend(z, near, P, first, cfg, R)
     if 0 not in (hard, soft):
         deviation_bend(z, near, P, first, cfg, R)
     x, y, w = m

@@ -356,7 +356,7 @@ def test_measurement_kernels(seed):
 @pytest.mark.parametrize(("hard", "soft"), [(0, 3), (6, -1), (-1, 6), (6, 9)])
 @pytest.mark.parametrize("dip", [-1.0, 1.0])
 def test_what_the_iron_leaves_out(hard, soft, dip):
-    """Only the iron's own states count; where the field points down, and where up."""
+    """Only the states of the iron and of the tilt count; where the field points down, and where up."""
     rng, k = np.random.default_rng(4), (6 if 0 not in (hard, soft) else 0) + 3 * (hard >= 0) + 5 * (soft >= 0)
     nav, cfg = random_nav(rng), np.array([0.1, 20.0, hard, soft, 30.0, 70.0])
     z = np.append(nav[6:15].reshape(3, 3).T @ [20.0, 3.0, 45.0 * dip], math.nan)
@@ -365,6 +365,21 @@ def test_what_the_iron_leaves_out(hard, soft, dip):
     ours, twins = run_both(measurement.iron_bend, z, near, P, 12, cfg, np.eye(1))
     assert_close([ours[5]], [twins[5]], 1e-9)
     assert ours[5][0, 0] > 1.0
+
+
+def test_what_a_tilt_leaves_out_equals_its_twin_and_is_a_variance():
+    """Of a tilt drawn with its covariance: what that along the azimuth, and the turn itself, change of the slope."""
+    rng = np.random.default_rng(6)
+    nav, cfg, near, res = random_nav(rng), np.array([0.1, 20.0, -1.0, -1.0, 1.0, 1.0]), np.zeros((1, 9)), np.zeros(1)
+    P, z = spd(rng, 9, 1e-4), np.append(nav[6:15].reshape(3, 3).T @ [5.0, 0.5, -60.0], math.nan)
+    measurement.magnetometer(z, nav, np.zeros(3), np.zeros(0), cfg, near, res)
+    ours, twins = run_both(measurement.tilt_bend, z, near, P, 9, cfg, np.zeros((1, 1)))
+    assert_close([ours[5]], [twins[5]], 1e-12)
+    tilt = rng.multivariate_normal(np.zeros(2), P[6:8, 6:8], size=400_000)
+    north, dip = np.array([math.cos(0.1), math.sin(0.1)]), 60.0 / math.hypot(5.0, 0.5)
+    across, along = dip * tilt @ north, dip * tilt @ [-north[1], north[0]]
+    # a mean of sixth powers of 400,000 scatters by 1.5 %
+    assert ours[5][0, 0] == pytest.approx(np.mean((across * along + 0.5 * across**3) ** 2), rel=0.06)
 
 
 def test_what_bends_of_a_deviation_equals_its_twin_and_is_a_variance():

@@ -393,6 +393,7 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
         "range_bend",
         "usbl_bend",
         "iron_bend",
+        "tilt_bend",
         "deviation_bend",
         "hold_slopes",
         "hold_clock",

@@ -27,6 +27,8 @@ HELD = 3.0
 # And so much of the difference they follow all the same at each reading: over 50 readings their noise is a mean.
 # By 0.005 and by 0.05 a mounting beside a micromechanical unit had a NEES of 3 and 1.8, by this 1.4 [1].
 FOLLOWED = 0.02
+# Mean square of half a cube, in cubes of the variance [1]: by so much the cosine of an azimuth changes its slope.
+CUBE = 15.0 / 4.0
 # That of a place by its clock: fixes of centimetres had a NEES of 2.4 by this, of 4.6 by 0.02, of 2.3 by 0 [1].
 STEADY = 0.002
 
@@ -454,6 +456,21 @@ def deviation_bend(z, near, P, first, cfg, R):
 
 
 @njit(cache=True)
+def tilt_bend(z, near, P, first, cfg, R):
+    """What the linear equation of `magnetometer` leaves out of the tilt, added to R (1, 1): a tilt along the azimuth
+    changes what one across it does, by the tangent of the dip each (Gelb, 1974, sec. 6.1).
+
+    After the first readings the heading follows the tilt, and what is measured of both is known, however little each of
+    them is: the tilt counts by itself. Arguments as for `iron_bend`; it is the same as long as that is.
+    """
+    a0, a1 = near[0, 6], near[0, 7]  # across the azimuth; along it (a1, -a0)
+    aa = a0 * a0 * P[6, 6] + 2.0 * a0 * a1 * P[6, 7] + a1 * a1 * P[7, 7]
+    bb = a1 * a1 * P[6, 6] - 2.0 * a0 * a1 * P[6, 7] + a0 * a0 * P[7, 7]
+    ab = a0 * a1 * (P[6, 6] - P[7, 7]) + (a1 * a1 - a0 * a0) * P[6, 7]
+    R[0, 0] += cfg[5] * (aa * bb + 2.0 * ab * ab + CUBE * aa * aa * aa)
+
+
+@njit(cache=True)
 def iron_bend(z, near, P, first, cfg, R):
     """What the linear equation of `magnetometer` leaves out of its iron, added to R (1, 1): an error of the field along
     the azimuth changes what one across it does (Gelb, 1974, sec. 6.1).
@@ -463,6 +480,7 @@ def iron_bend(z, near, P, first, cfg, R):
     it where there is any, see `deviation_bend`.
     """
     hard, soft = int(cfg[2]), int(cfg[3])
+    tilt_bend(z, near, P, first, cfg, R)
     if hard != 0 and soft != 0:
         deviation_bend(z, near, P, first, cfg, R)
     m0, m1, m2, s = z[0], z[1], z[2], 9 + soft

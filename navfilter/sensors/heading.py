@@ -124,8 +124,8 @@ class Heading(Sensor):
     @property
     def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
         """What its equation leaves out: of iron, which is a tenth of the field and more, and of deviation."""
-        if self.hard_iron_sd or self.soft_iron_sd:
-            return measurement.iron_bend
+        if self.magnetometer:
+            return measurement.iron_bend if self.hard_iron_sd or self.soft_iron_sd else measurement.tilt_bend
         return measurement.deviation_bend if any(self.deviation_sd_rad) else None
 
     @property
