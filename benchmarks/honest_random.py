@@ -65,7 +65,7 @@ class Case:
 
     @classmethod
     def with_magnetometer(cls, number: int, steep: bool) -> Case:
-        """One with a unit and a magnetometer: the first in a thousand numbers; if `steep`, where a compass hardly points."""
+        """One with a unit and a magnetometer, first of a thousand; if `steep`, where a compass hardly points."""
         number *= 1000
         while not getattr((case := cls.drawn(number)).vehicle.sensors.get("compass"), "magnetometer", False):
             number += 1

@@ -123,8 +123,9 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
             heading, heading_sd = _course(fixes, first, last)
         else:
             sensor, readings = read
-            headings, variance = sensor.headings(readings, matrix_from_euler(roll, pitch, 0.0), here)
-            heading, heading_sd = float(np.angle(np.mean(np.exp(1j * headings)))), _again(math.sqrt(variance))
+            headings, variance, slope = sensor.headings(readings, matrix_from_euler(roll, pitch, 0.0), here)
+            heading = float(np.angle(np.mean(np.exp(1j * headings))))
+            heading_sd = math.hypot(_again(math.sqrt(variance)), slope * tilt_sd)
     velocity, velocity_sd = _velocity(vehicle, mission, fixes, begin, window_s, np.array([roll, pitch, heading]))
     place, place_sd = _place(vehicle, mission, fixes, first, begin, matrix_from_euler(roll, pitch, heading), heading_sd)
     return Start(

@@ -1,8 +1,9 @@
-"""The Earth's magnetic field for compasses: declination, and the iron calibration of a magnetometer."""
+"""The Earth's magnetic field for compasses: declination, its error, and the iron calibration of a magnetometer."""
 
 from __future__ import annotations
 
 import datetime
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,10 +11,39 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter import utc
 from navfilter.handed_over import numbers
 
-__all__ = ["believable", "calibrate_magnetometer", "declination"]
+__all__ = ["BLACKOUT_NT", "CAUTION_NT", "North", "believable", "calibrate_magnetometer", "declination", "north"]
 
 Array = NDArray[np.float64]
 MODEL_YEARS = (2010, 2015, 2020, 2025)
+#: What the declination of a model errs by is the root of the sum of the squares of an angle [deg] and of another one
+#: over the horizontal field [deg nT] (Chulliat et al., 2025, "The US/UK World Magnetic Model for 2025-2030", eq. 43;
+#: those of 2015 and 2020 differ by 12 %). Far from the poles it is 0.3 to 0.5 deg.
+DECLINATION_SD_DEG, DECLINATION_SD_DEG_NT = 0.26, 5417.0
+#: Horizontal field [nT] below which that report warns of compasses, and below which it says that they are of no use.
+CAUTION_NT, BLACKOUT_NT = 6000.0, 2000.0
+#: An angle of which nothing is known has this sd [rad].
+ANY_SD = float(np.pi / np.sqrt(3.0))
+
+
+class North(NamedTuple):
+    """Where a compass points.
+
+    Attributes
+    ----------
+    declination : float
+        East positive [rad].
+    sd : float
+        What the model's declination errs by [rad].
+    horizontal_nt : float
+        Horizontal field [nT].
+    dip : float
+        Of the field below the horizon [rad].
+    """
+
+    declination: float
+    sd: float
+    horizontal_nt: float
+    dip: float
 
 
 def declination(latitude_deg: float, longitude_deg: float, height_m: float, date: datetime.date | None) -> float:
@@ -36,6 +66,19 @@ def declination(latitude_deg: float, longitude_deg: float, height_m: float, date
     >>> round(float(np.degrees(declination(32.76, 35.02, 0.0, datetime.date(2024, 6, 1)))), 0)
     5.0
     """
+    return north(latitude_deg, longitude_deg, height_m, date).declination
+
+
+def north(latitude_deg: float, longitude_deg: float, height_m: float, date: datetime.date | None) -> North:
+    """Where a compass points, and how well that is known; arguments and errors as for `declination`.
+
+    Examples
+    --------
+    >>> import datetime
+    >>> boothia = north(81.0, -96.0, 0.0, datetime.date(2026, 6, 1))
+    >>> boothia.horizontal_nt < 6000.0, bool(np.degrees(boothia.sd) > 0.9)
+    (True, True)
+    """
     if date is None:
         raise ValueError(
             "the declination needs a date: set date in mission.toml or Start(date=...), or give the compass "
@@ -54,7 +97,9 @@ def declination(latitude_deg: float, longitude_deg: float, height_m: float, date
     result = model.calculate(
         glat=latitude_deg, glon=(longitude_deg + 180.0) % 360.0 - 180.0, alt=height_m / 1000.0, time=year
     )
-    return float(np.radians(result.d))
+    sd_deg = np.hypot(DECLINATION_SD_DEG, DECLINATION_SD_DEG_NT / max(result.h, 1.0))
+    angles = np.radians([result.d, sd_deg, result.i])
+    return North(float(angles[0]), min(float(angles[1]), ANY_SD), float(result.h), float(angles[2]))
 
 
 def believable(date: datetime.date) -> datetime.date:

@@ -16,6 +16,7 @@ from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.mechanisation import Coasting, Imu, Mechanisation
 from navfilter.notebook import card
 from navfilter.sensors import Attitude, Sensor
+from navfilter.start import Start
 
 __all__ = ["Vehicle"]
 
@@ -219,6 +220,15 @@ class Vehicle:
         """The same with other drives (by name where there are several units) and sensors."""
         imus = drives if self.imus else {}
         return _again(next(iter(drives.values())), sensors, self.name, imus, self.dead_reckoning_lane)
+
+    def at(self, start: Start) -> Vehicle:
+        """The same vehicle as it is at this place: with what a compass errs by near a magnetic pole. It is what a run
+        and a simulation go by; itself where nothing is different.
+        """
+        drive, sensors = self.drive.at(start), {name: sensor.at(start) for name, sensor in self.sensors.items()}
+        if drive is self.drive and all(sensor is self.sensors[name] for name, sensor in sensors.items()):
+            return self
+        return self._with(self.imus or {"": drive}, sensors)
 
     def without(self, *names: str) -> Vehicle:
         """The same vehicle without some of its sensors."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from navfilter.check.clocks import clock_findings
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.motion import motion_findings
+from navfilter.check.north import north_findings
 from navfilter.check.streams import stream_findings
 from navfilter.mission import Mission
 
@@ -57,6 +58,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
         found += _absent(mission, vehicle)
     found += clock_findings(mission, vehicle)
     found += motion_findings(mission, vehicle)
+    found += north_findings(mission, vehicle)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
 

@@ -88,6 +88,8 @@ def _drive_lines(title: str, drive: Mechanisation, names: Sequence[str]) -> Iter
     models = drive.models if drive.inertial else tuple(_not_learnt(model) for model in drive.models)
     for name, part in zip(drive.triples, (slice(0, 3), slice(3, 6)), strict=True):
         yield from _error_lines(name, models[part], drive.axis_names[part], drive.units[part], drive.period_s)
+    if drive.compass is not None:
+        yield from _north_lines(drive.compass)
     if drive.velocity_sensor is not None:
         yield from _fitting_lines(drive.velocity_sensor)
     wandering = drive.wandering()
@@ -107,6 +109,7 @@ def _not_learnt(model: ErrorModel) -> ErrorModel:
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
     yield f'Sensor "{name}": {sensor.words}, {sensor.rate_hz:g} Hz'
     yield from _error_lines("error", sensor.models, sensor.axis_names, sensor.units, 1.0 / sensor.rate_hz)
+    yield from _north_lines(sensor)
     yield from _fitting_lines(sensor)
     yield from _clock_lines(sensor)
     wandering = sensor.wandering()
@@ -129,6 +132,21 @@ def _error_lines(
         label = name if len(axes) == len(models) or not some else f"error {some}" if name == "error" else some
         for k, text in enumerate(describe_error(model, unit, period_s, at_rest=name in ("gyro", "accel"))):
             yield _line(label if k == 0 else "", text)
+
+
+def _north_lines(sensor: Any) -> Iterator[str]:
+    """From where a magnetic heading counts, and how well that is known."""
+    if not (getattr(sensor, "magnetic", False) or getattr(sensor, "magnetometer", False)):
+        return
+    given, sd = sensor.declination_rad, sensor.declination_sd_rad
+    text = "declination of the World Magnetic Model" if given is None else f"declination {amount(given, 'rad')}"
+    if sd is not None:
+        text += f", sd {amount(sd, 'rad')}"
+    elif given is None:
+        text += " (it errs by 0.3 to 0.9 deg: a state near the magnetic poles only)"
+    else:
+        text += ", taken as exact"
+    yield _line("north", f"magnetic, {text}")
 
 
 def _fitting_lines(sensor: Any) -> Iterator[str]:

@@ -11,6 +11,7 @@ from scipy.special import bdtrc
 
 from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
+from navfilter.check.north import north_findings
 from navfilter.evaluation.constants import constant_doubts
 from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.left_out import left_out_doubts
@@ -114,6 +115,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
     for name, sensor in run.vehicle.sensors.items():
         if not sensor.from_drive:
             yield from _sensor(name, run, mission, limits, explained=bool(told))
+    yield from north_findings(mission, run.vehicle)
     yield from _surfaced(evidence, limits)
     yield from constant_doubts(run, limits.far, limits.untold)
     yield from _mended(run)

@@ -84,13 +84,13 @@ class Filter(Estimate):
         needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
         needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
         needs("Navigator: tape", tape, Tape, type(None))
-        self.vehicle, self.start, self.tape, drive = vehicle, start, tape, vehicle.drive
+        self.vehicle = vehicle = vehicle.at(start)
+        self.start, self.tape, drive = start, tape, vehicle.drive
         self.steps, self.hold, self.period_s = drive.steps, drive.hold, drive.period_s
         self.fold_every, self.ahead_s = max(1, round(drive.rate_hz)), max(self.AHEAD_S, 3.0 * self.period_s)
         self.inertial, self.watch, self.jumps = drive.inertial, drive_watch.DriveWatch(drive), JumpWatch(drive)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
-        past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
-        self.remembered = drive.remembered(past_s) if past_s else 0
+        self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
         self.jumped: list[Change] = []
         self.accused: float | None = None
         self.tilted, self.gyros = False, shifts.gyros(None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -115,8 +115,8 @@ class DeadReckoning(Mechanisation):
         """Roll, pitch, yaw, velocity x, y, z."""
         if self.compass is not None:
             yaw = self.compass.models[0]
-            if self.compass.bias_sd_rad:
-                yaw = yaw + RandomWalk(density=0.0, start_sd=self.compass.bias_sd_rad)
+            if self.compass.constant_sd_rad:
+                yaw = yaw + RandomWalk(density=0.0, start_sd=self.compass.constant_sd_rad)
             attitude: tuple[ErrorModel, ...] = (self.tilt, self.tilt, yaw)
         else:
             attitude = per_axis(self.attitude, 3, "DeadReckoning.attitude")  # type: ignore[arg-type]
@@ -138,6 +138,12 @@ class DeadReckoning(Mechanisation):
     def late_s(self) -> tuple[float, float]:
         """How late the stamps of attitude and velocity are, as described [s]."""
         return (self.compass.time_offset_s if self.compass else 0.0), self.velocity_sensor.time_offset_s
+
+    def at(self, start: Start) -> DeadReckoning:
+        """With what the declination of its compass errs by at this place."""
+        if self.compass is None or (there := self.compass.at(start)) is self.compass:
+            return self
+        return replace(self, attitude=there)
 
     def _deviation(self) -> tuple[Parameter, ...]:
         if self.compass is None or not any(self.compass.deviation_sd_rad):

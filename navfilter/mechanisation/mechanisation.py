@@ -192,6 +192,10 @@ class Mechanisation(Typed):
         """How late the stamps of its two streams are, as described [s]."""
         return 0.0, 0.0
 
+    def at(self, start: Start) -> Mechanisation:
+        """As it is at this place, see `navfilter.sensors.Sensor.at`."""
+        return self
+
     def declination(self, start: Start) -> float:
         """From its heading to the true one [rad]."""
         return 0.0 if self.compass is None else self.compass.declination(start)

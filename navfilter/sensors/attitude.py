@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import measurement
-from navfilter.sensors.heading import USUAL, Heading
+from navfilter.sensors.heading import USUAL, Heading, checked_north, with_declination_sd
 from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
 from navfilter.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.start import Start
@@ -44,6 +44,8 @@ class Attitude(Sensor):
         The yaw counts from magnetic north.
     declination_rad : float, optional
         East positive [rad]. Default: World Magnetic Model at the start's place and date.
+    declination_sd_rad : float, optional
+        Standard deviation of the declination [rad]: it is part of the misalignment. Default as of a `Heading`.
 
     Notes
     -----
@@ -57,6 +59,7 @@ class Attitude(Sensor):
     misalignment_sd_rad: float = 0.0
     magnetic: bool = False
     declination_rad: float | None = None
+    declination_sd_rad: float | None = None
 
     prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.01, tau_s=30.0) + White(sd=0.002)
     unit: ClassVar[str] = "rad"
@@ -89,24 +92,37 @@ class Attitude(Sensor):
             raise ValueError(
                 f"Attitude.misalignment_sd_rad must be a finite number >= 0, found {self.misalignment_sd_rad!r}."
             )
+        checked_north("Attitude", self)
+
+    def at(self, start: Start) -> Attitude:
+        """With what its declination errs by at this place."""
+        return with_declination_sd(self, self.magnetic, start)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Three misalignments, or none."""
-        if not self.misalignment_sd_rad:
-            return ()
-        return tuple(Parameter(f"misalignment_{axis}", self.misalignment_sd_rad, "rad") for axis in "xyz")
+        angles = self._misalignment()
+        return angles if any(angle.sd for angle in angles) else ()
+
+    def _misalignment(self) -> tuple[Parameter, ...]:
+        """About the instrument's axes; the declination is a turn about what is down in them."""
+        down = np.abs(matrix_from_euler(*self.mounting_rad)[2]) * (self.declination_sd_rad or 0.0)
+        sds = np.hypot(self.misalignment_sd_rad, down).tolist()
+        return tuple(Parameter(f"misalignment_{axis}", sd, "rad") for axis, sd in zip("xyz", sds, strict=True))
 
     def constants(self, start: Start) -> Array:
         """Declination, then the mounting matrix row by row."""
         compass = Heading(magnetic=self.magnetic, declination_rad=self.declination_rad)
         return np.concatenate([[compass.declination(start)], matrix_from_euler(*self.mounting_rad).ravel()])
 
-    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float]:
-        """True headings by readings (n, 3), and the variance of their mean [rad], [rad^2]; they know what is level."""
+    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float, float]:
+        """True headings by readings (n, 3), the variance of their mean [rad], [rad^2], and no slope: they know what is
+        level.
+        """
         forward = matrix_from_euler(*self.mounting_rad)[0]  # along which the vehicle's own goes in the instrument
         ahead = np.array([matrix_from_euler(*angles) @ forward for angles in readings[:, :3].tolist()])
-        variance = self.misalignment_sd_rad**2 + self.mean_variance(2, len(readings))
-        return np.arctan2(ahead[:, 1], ahead[:, 0]) + self.constants(start)[0], variance
+        turned = self.misalignment_sd_rad**2 + (self.at(start).declination_sd_rad or 0.0) ** 2
+        variance = turned + self.mean_variance(2, len(readings))
+        return np.arctan2(ahead[:, 1], ahead[:, 0]) + self.constants(start)[0], variance, 0.0
 
     def doubts(self) -> Iterator[Doubt]:
         """Of mounting, misalignment and declination."""
@@ -119,8 +135,7 @@ class Attitude(Sensor):
 
     def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """The rotation vector of the misalignment."""
-        angles = (Parameter(f"misalignment_{axis}", self.misalignment_sd_rad, "rad") for axis in "xyz")
-        return {"misalignment": tuple(angles)}
+        return {"misalignment": self._misalignment()}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Angles of the instrument's axes, which are turned against what is believed."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,23 @@ _PRIOR = COMPASS_ERROR.removeprefix("error = ")
 _LEARNT = f'# learnt under way instead: error = {{model = "learned-arma", prior = {_PRIOR}}}'
 
 
+def with_declination_sd(sensor: Any, magnetic: bool, start: Start) -> Any:
+    """The same heading or attitude with what the model's declination errs by at this place, where that is much."""
+    if not magnetic or sensor.declination_rad is not None or sensor.declination_sd_rad is not None:
+        return sensor
+    from navfilter.magnetic import CAUTION_NT, north
+
+    there = north(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
+    return replace(sensor, declination_sd_rad=there.sd) if there.horizontal_nt < CAUTION_NT else sensor
+
+
+def checked_north(kind: str, sensor: Any) -> None:
+    """Refuse an uncertainty of the declination that is none."""
+    sd = sensor.declination_sd_rad
+    if sd is not None and not 0.0 <= sd < math.inf:
+        raise ValueError(f"{kind}.declination_sd_rad must be a finite number >= 0, found {sd!r}.")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Heading(Sensor):
     """Compass: its heading output [rad], or a three-axis magnetometer levelled with the filter's own attitude.
@@ -56,6 +73,9 @@ class Heading(Sensor):
         A heading reading counts from magnetic north; a magnetometer always does.
     declination_rad : float, optional
         East positive [rad]. Default: World Magnetic Model at the start's place and date.
+    declination_sd_rad : float, optional
+        Standard deviation of the declination [rad]: it is part of the bias. Default: that of the model where the model
+        gives the declination and the horizontal field is below 6000 nT, its own caution zone; else nothing.
     bias_sd_rad, deviation_sd_rad, temperature_sd_rad_per_k : float, (2,) float, float
         Standard deviations of constant states: bias, one- and two-cycle deviation (each a sine and a cosine of the
         heading), and the drift with temperature (thesis eq 4.1). All zero: no such states.
@@ -82,6 +102,7 @@ class Heading(Sensor):
     magnetometer: bool = False
     magnetic: bool = False
     declination_rad: float | None = None
+    declination_sd_rad: float | None = None
     bias_sd_rad: float = 0.0
     deviation_sd_rad: tuple[float, float] = (0.0, 0.0)
     temperature_sd_rad_per_k: float = 0.0
@@ -107,6 +128,7 @@ class Heading(Sensor):
         checked_vector("Heading.hard_iron", self.hard_iron)
         checked_vector("Heading.soft_iron", self.soft_iron, 9)
         checked_vector("Heading.deviation_sd_rad", self.deviation_sd_rad, 2)
+        checked_north("Heading", self)
         for name in ("hard_iron_sd", "soft_iron_sd"):
             sd = getattr(self, name)
             if not 0.0 <= sd < math.inf:
@@ -155,13 +177,22 @@ class Heading(Sensor):
     def _constants(self) -> tuple[Parameter, ...]:
         one, two = self.deviation_sd_rad
         return (
-            Parameter("bias", self.bias_sd_rad, "rad"),
+            Parameter("bias", self.constant_sd_rad, "rad"),
             Parameter("one_cycle_sin", one, "rad"),
             Parameter("one_cycle_cos", one, "rad"),
             Parameter("two_cycle_sin", two, "rad"),
             Parameter("two_cycle_cos", two, "rad"),
             Parameter("temperature", self.temperature_sd_rad_per_k, "rad_per_k"),
         )
+
+    @property
+    def constant_sd_rad(self) -> float:
+        """Of bias and declination together, which no reading tells from each other [rad]."""
+        return math.hypot(self.bias_sd_rad, self.declination_sd_rad or 0.0)
+
+    def at(self, start: Start) -> Heading:
+        """With what its declination errs by at this place."""
+        return with_declination_sd(self, self.magnetic or self.magnetometer, start)
 
     def declination(self, start: Start) -> float:
         """Magnetic declination in force [rad]; 0 for a compass that reads true heading."""
@@ -209,20 +240,20 @@ class Heading(Sensor):
         z[:, : values.shape[1]] = values[:, :2]
         return z, np.abs(z[:, 0]) <= LARGEST
 
-    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float]:
-        """True headings by readings (n, ...) of a vehicle that is level by this rotation (3, 3) out of b, and the
-        variance of their mean [rad], [rad^2].
+    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float, float]:
+        """True headings by readings (n, ...) of a vehicle that is level by this rotation (3, 3) out of b, the variance
+        of their mean [rad], [rad^2], and by how much a tilt turns them [rad/rad].
         """
-        variance = sum(p.sd**2 for p in self._constants()[:5])
+        variance, dip = sum(p.sd**2 for p in self.at(start)._constants()[:5]), 0.0
         if self.magnetometer:
             field = readings[:, :3] @ level.T
             angles = -np.arctan2(field[:, 1], field[:, 0])
             across = float(np.mean(np.hypot(field[:, 0], field[:, 1])))
-            dip2 = float(np.mean(field[:, 2])) ** 2 / across**2
-            variance += (self.hard_iron_sd / across) ** 2 + self.soft_iron_sd**2 * (1.0 + dip2)
+            dip = abs(float(np.mean(field[:, 2]))) / across
+            variance += (self.hard_iron_sd / across) ** 2 + self.soft_iron_sd**2 * (1.0 + dip**2)
         else:
             angles = readings[:, 0]
-        return angles + self.declination(start), variance + self.mean_variance(0, len(readings))
+        return angles + self.declination(start), variance + self.mean_variance(0, len(readings)), dip
 
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a heading."""

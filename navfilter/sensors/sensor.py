@@ -256,6 +256,10 @@ class Sensor(Typed):
         """Those of the parameters that are not constant: how they wander, by name (a model of one state)."""
         return {}
 
+    def at(self, start: Start) -> Sensor:
+        """As it is at this place: itself, but for what is known less well there."""
+        return self
+
     def constants(self, start: Start) -> Array:
         """What the kernel needs to know beside the state, shape depends on the sensor."""
         return np.zeros(1)

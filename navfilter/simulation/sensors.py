@@ -70,10 +70,9 @@ class Truth:
         return WATER_SURFACE_C + WATER_GRADIENT_C_M * (self.surface_height_m - here.height)
 
 
-def attitude(here: Kinematics, truth: Truth) -> Reading:
-    """Roll, pitch and yaw, rad, with the deviation of the compass in the yaw."""
-    yaw = here.attitude[:, 2]
+def attitude(here: Kinematics, truth: Truth, declination: float) -> Reading:
+    """Roll, pitch and yaw, rad, with the deviation of the compass in the yaw, which counts from magnetic north."""
+    yaw = here.attitude[:, 2] - declination
     value = here.attitude + truth.error
-    value[:, 2] += truth.deviation(yaw)
-    value[:, 2] = wrap(value[:, 2])
+    value[:, 2] = wrap(yaw + truth.error[:, 2] + truth.deviation(yaw))
     return value, ("roll_rad", "pitch_rad", "yaw_rad")

@@ -116,9 +116,11 @@ def simulate(
     duration = motion.duration_s if duration_s is None else float(duration_s)
     if not 0.0 < duration <= motion.duration_s + 1e-9:
         raise ValueError(f"duration_s must lie between 0 and the motion's {motion.duration_s:.1f} s, found {duration}.")
+    place = Start(latitude_deg=motion.latitude_deg, longitude_deg=motion.longitude_deg, date=date)
+    vehicle = vehicle.at(place)
     scene = _Scene(motion, duration, seed, faults, date, [])
     streams = {name: _inertial(scene, unit, name, f"{name}.") for name, unit in vehicle.imus.items()}
-    streams = streams or _drive_streams(scene, vehicle.drive)
+    streams = streams or _drive_streams(scene, vehicle.drive, place)
     for key, sensor in vehicle.sensors.items():
         if not sensor.from_drive:
             streams[key] = scene.record(key, sensor, sensor.rate_hz)
@@ -310,7 +312,7 @@ def _believed(draws: Mapping[str, tuple[Parameter, ...]], calibrated: Calibrated
     return {what: with_calibrated(constants, calibrated) for what, constants in draws.items()}
 
 
-def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
+def _drive_streams(scene: _Scene, drive: Mechanisation, place: Start) -> dict[str, Stream]:
     if isinstance(drive, Imu):
         return {"imu": _inertial(scene, drive)}
     if drive.velocity_sensor is None:
@@ -319,11 +321,12 @@ def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     time_s = scene.ticks(drive.rate_hz)
     here = scene.motion.at(time_s)
     error = scene.error("attitude", drive.models[:3], drive.rate_hz, time_s, 3)
-    # the constant bias of a Heading is part of the drive's error model already
-    plain = dataclasses.replace(drive.compass, bias_sd_rad=0.0) if drive.compass else None
+    # what is constant of a Heading is part of the drive's error model already
+    plain = drive.compass and dataclasses.replace(drive.compass, bias_sd_rad=0.0, declination_sd_rad=0.0)
     truth = scene.truth("attitude", plain, error, time_s)
+    angles = attitude(here, truth, drive.declination(place))
     return {
-        "attitude": scene.stamp("attitude", time_s, *attitude(here, truth), scene.lateness("attitude", drive.compass)),
+        "attitude": scene.stamp("attitude", time_s, *angles, scene.lateness("attitude", drive.compass)),
         "velocity": scene.record(
             "velocity", dataclasses.replace(drive.velocity_sensor, rate_hz=drive.rate_hz), drive.rate_hz
         ),
