@@ -684,9 +684,9 @@ def _change(step, drv, span, missing, Cr, Qd):
     rates[:] = np.where(known, rates + share * off, 0.0)
     # the same of their mean over a second
     steady = span / (span + 1.0)
-    noise = steady / (2.0 - steady) * (steady * white + walk)
+    noise = steady / (2.0 - steady) * (3.0**2 * steady * white + 10.0**2 * walk)
     square = rates**2
-    return rates * np.divide(square, square + 9.0 * noise, out=np.zeros(6), where=square > 0.0)
+    return rates * np.divide(square, square + noise, out=np.zeros(6), where=square > 0.0)
 
 
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):

@@ -95,6 +95,15 @@ def test_noise_of_a_velocity_tells_no_scale_of_its_own(white):
     assert np.all(nees < 2.0) and np.all(square < 6.0), (nees, square)
 
 
+def test_what_a_velocity_errs_by_for_seconds_tells_no_clock_of_its_own():
+    """On a way of one speed, which shows no clock: 9 variances off, always to the same side."""
+    dvl = nf.BodyVelocity(error=nf.GaussMarkov(sd=0.05, tau_s=3.0) + nf.White(sd=0.007), time_offset_sd_s=0.3)
+    drive = nf.DeadReckoning(rate_hz=8.0, attitude=nf.White(sd=0.2 * DEG), velocity=dvl)
+    vehicle = nf.Vehicle(drive, {"gps": nf.Position(rate_hz=1.0, error=nf.White(sd=0.1)), "depth": nf.Depth()})
+    nees, square = scored(vehicle, survey(500.0), range(21, 29), 500.0, "velocity", "time offset", ["time_offset"])
+    assert np.all(nees < 2.0) and square[0] < 4.0, (nees, square)
+
+
 KNOWN = {"one_cycle_sin": -2.0, "one_cycle_cos": 7.0, "two_cycle_sin": 0.0, "two_cycle_cos": 0.0}
 DEVIATED = nf.Heading(
     error=nf.White(sd=0.05 * DEG),
