@@ -8,7 +8,9 @@ simulated again, with `--again` other seeds; what it has in the median of these 
 that are not white are learnt, from a prior that is wrong by up to two in sd and three in time; its rival is the same
 vehicle that is told the truth, for there is no other software in it. With `--drive dead-reckoning` there is no unit:
 DVL, wheels, log or what is known of a glider's velocity drive with a compass, with or without clocks, lever arm, scale,
-mounting and deviation as states, beside fixes, USBL, ranges, course, depth and a bottom track now and then.
+mounting and deviation as states, beside fixes, USBL, ranges, course, depth and a bottom track now and then. With
+`--drive acoustic` a unit is placed by ranges to beacons, known or to be found, or by USBL of any kind, or rolls on
+wheels, over an altimeter, and hardly sees fixes.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import numpy as np
 from harness import Array, Options, Table, flag, main, quick
 from honest_constants import drawn
 from pygeomag import GeoMag
+from random_acoustics import acoustic
 from random_reckoning import reckoning
 from random_vehicles import MOTIONS, between, chance, north, place, unit, velocity
 
@@ -52,7 +55,7 @@ class Case:
         """That of a number, always the same."""
         if magnetometer:
             return cls.with_magnetometer(number, magnetometer == "steep")
-        return cls.drawn(number) if drive == "imu" else cls.reckoned(number)
+        return {"imu": cls.drawn, "dead-reckoning": cls.reckoned, "acoustic": cls.placed}[drive](number)
 
     @classmethod
     def reckoned(cls, number: int) -> Case:
@@ -79,6 +82,15 @@ class Case:
         return case
 
     @classmethod
+    def placed(cls, number: int) -> Case:
+        """A vehicle that is placed by sound."""
+        r = np.random.default_rng([number, 3])
+        vehicle, motion, way, duration_s = acoustic(r)
+        start = StartErrors(heading_sd_deg=between(r, 0.5, 8.0), tilt_sd_deg=between(r, 0.1, 1.0))
+        fixes = "always" if motion == "boat" else "surface"
+        return cls(vehicle, motion, way, min(duration_s, way.duration_s), fixes, start)
+
+    @classmethod
     def drawn(cls, number: int) -> Case:
         """A vehicle with a unit."""
         r = np.random.default_rng(number)
@@ -94,7 +106,7 @@ class Case:
 
     def mission(self, seed: int) -> nf.Mission:
         """Simulated; it errs as described."""
-        faults = {"gps": Faults(available=self.fixes)}
+        faults = {"gps": Faults(available=self.fixes)} if "gps" in self.vehicle.sensors else {}
         if "bottom" in self.vehicle.sensors:  # within reach for the first and the last quarter
             quarter_s = 0.25 * self.duration_s
             faults["bottom"] = Faults(dropouts=((quarter_s, 3.0 * quarter_s),))
@@ -175,7 +187,7 @@ if __name__ == "__main__":
     flags = [
         flag("--cases", type=int, default=200, help="how many"),
         flag("--first", type=int, default=10_000, help="number of the first"),
-        flag("--drive", choices=["imu", "dead-reckoning"], default="imu", help="a unit, or a velocity and a heading"),
+        flag("--drive", choices=["imu", "dead-reckoning", "acoustic"], default="imu", help="what drives"),
         flag("--magnetometer", choices=["anywhere", "steep"], help="only those with one; steep: near a magnetic pole"),
         flag("--again", type=int, default=5, help="other missions of an odd one"),
         flag("--learn", action="store_true", help="with errors that are learnt"),

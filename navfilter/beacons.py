@@ -123,7 +123,10 @@ def _one(
 
 
 def _with(vehicle: Vehicle, name: str, ranges: Range) -> Vehicle:
-    return dataclasses.replace(vehicle, sensors={**vehicle.sensors, name: ranges})
+    """With these ranges, of which a plane leaves out little: they are gone through again around what they have told."""
+    each = dataclasses.replace(ranges)
+    object.__setattr__(each, "sight_s_per_m", 0.0)
+    return dataclasses.replace(vehicle, sensors={**vehicle.sensors, name: each})
 
 
 def _likelihood(track: Track, name: str) -> float:

@@ -1781,6 +1781,21 @@ def hold_slopes(P, near, held, begin, first, turned):
     new[:] = np.where(np.abs(new - held) <= band, 0.98 * held + 0.02 * new, new)
 
 
+def hold_unread(P, near, res, first):
+    read = np.isfinite(res)
+    if len(res) != 3 or read.all():
+        return read.sum() >= 3
+    at = np.r_[:9, first : first + near.shape[1] - 9]
+    for j in np.flatnonzero(~read):
+        variance = near[j] @ P[np.ix_(at, at)] @ near[j]
+        for i in np.flatnonzero(read):
+            about = np.cross(near[i, 3:6], near[j, 3:6])
+            unread = near[i, 6:9] @ about
+            kept = max(0.0, 1.0 - 9.0 * variance / unread**2)
+            near[i, 6:9] -= (1.0 - kept) * unread * about
+    return False
+
+
 def hold_clock(P, near, held, column):
     sd = np.sqrt(np.maximum(np.diag(near[:, :3] @ P[3:6, 3:6] @ near[:, :3].T), 0.0))
     new = near[:, column].copy()
@@ -1801,7 +1816,7 @@ def range_bend(z, near, P, first, cfg, R):
     apart, place = np.hstack([np.eye(3), np.zeros((3, len(P) - 3))]), int(cfg[7])
     if place >= 0:
         apart[:, first + place + 3 * int(z[1]) :][:, :3] = -np.eye(3)
-    R[0, 0] += _sagitta(near[0, :3], z[0], apart @ P @ apart.T)
+    R[0, 0] += max(1.0, cfg[-1] * z[0]) * _sagitta(near[0, :3], z[0], apart @ P @ apart.T)
 
 
 def deviation_bend(z, near, P, first, cfg, R):
@@ -1853,10 +1868,11 @@ def iron_bend(z, near, P, first, cfg, R):
 def usbl_bend(z, near, P, first, cfg, R):
     sight_, P = near[0, :3] / np.linalg.norm(near[0, :3]), P[:3, :3]
     distance = z[0] if np.isfinite(z[0]) else 1.0 / np.linalg.norm(near[1, :3])
-    R[0, 0] += _sagitta(sight_, distance, P)
+    shared = max(1.0, cfg[-1] * distance)
+    R[0, 0] += shared * _sagitta(sight_, distance, P)
     for k in (1, 2):
         both = np.outer(near[k, :3], sight_)
-        R[k, k] += _moments((both + both.T) / distance @ P)
+        R[k, k] += shared * _moments((both + both.T) / distance @ P)
 
 
 # ---------------------------------------------------------------- stretch
@@ -1898,6 +1914,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if held.size:
         turned = np.diag(bench[lever:][: a * a].reshape(a, a)).max()
         hold_slopes(P, near, held, held_from, start + errors, turned)
+    moves = moves and hold_unread(P, near, res, start + errors)
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]

@@ -40,6 +40,27 @@ def test_slopes_follow_slowly_where_noise_alone_would_draw_them():
     assert at[0, 9] == pytest.approx(0.98 * 1.996 + 0.02)
 
 
+@pytest.mark.parametrize("read", [(True, False, False), (True, False, True), (False, True, True), (True, True, True)])
+@pytest.mark.parametrize("doubt", [1e-3, 0.1, 10.0])
+def test_what_is_not_read_counts_beyond_its_doubt(read, doubt):
+    rng = np.random.default_rng(7)
+    near, root = rng.normal(size=(3, 13)), doubt * rng.normal(size=(20, 20))
+    near[:, 3:6] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    velocity = np.array([1.5, -0.3, 0.2])  # north, east, down [m/s]
+    near[:, 6:9] = np.cross(near[:, 3:6], velocity)
+    res = np.where(read, 0.1, np.nan)
+    ours, twins = run_both(measurement.hold_unread, root @ root.T, near, res, 12)
+    assert_close(ours, twins, 1e-12)
+    assert measurement.hold_unread(root @ root.T, near.copy(), res, 12) == all(read)
+    P, at = np.zeros((20, 20)), near.copy()
+    P[3:6, 3:6] = doubt**2 * np.eye(3)
+    measurement.hold_unread(P, at, res, 12)
+    along = near[:, 3:6] @ velocity
+    seen = np.isfinite(res)
+    kept = np.where(seen, along, along * np.maximum(0.0, 1.0 - (3.0 * doubt / along) ** 2))
+    np.testing.assert_allclose(at[seen, 6:9], np.cross(near[seen, 3:6], near[:, 3:6].T @ kept), atol=1e-12)
+
+
 def test_slopes_through_water_are_held_by_the_velocity_through_it():
     P, near, held = np.zeros((15, 15)), np.zeros((3, 15)), np.ones((3, 4))
     # velocity and current are unknown by 1 m/s, their difference to 0.01 m/s

@@ -370,6 +370,7 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
         "water": (nf.WaterVelocity(), (0.4, 0.0, 0.0)),
         "course": (nf.Course(), (0.5, 0.2)),
         "wheels": (nf.Odometer(), 0.5),
+        "free wheels": (nf.Odometer(constrained=False, error=error, scale_sd=0.01), 0.5),
         "lbl": (nf.Range(beacons=((45.001, -4.0, 0.0),), beacon_sd_m=(3.0, 3.0, 3.0)), 111.0),
         "usbl": (nf.Usbl(**clock), (5.0, 0.1, 0.3, *ship)),
     }
@@ -396,6 +397,7 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
         "tilt_bend",
         "deviation_bend",
         "hold_slopes",
+        "hold_unread",
         "hold_clock",
     }
 

@@ -121,11 +121,13 @@ def asked(
         known = outputs, (memory.drv, drive_output), (clock, pushes)
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, *known, channel.into)
     _hold(channel, P, before)
+    first = int(channel.dims[4] + channel.dims[5])
+    if channel.moves:
+        measurement.hold_unread(P, channel.near, channel.res, first)
     if channel.offset:
         channel.in_proportion(z, nav, x)
         channel.unwrap(x)
     if channel.sensor.bend is not None:
-        first = int(channel.dims[4] + channel.dims[5])
         channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)
     # a reading that was refused has not pulled at anything, nor has it let go
     let_go = channel.verdict[2] and is_calm(channel, x)
@@ -141,11 +143,12 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     P, nav = memory.P, memory.nav
     before, own = tuple(nav[3:6]), memory.drv[strapdown.OWN : strapdown.OWN + 1]
     turns = bool(own[0]) and kalman.turns_along(P, nav[3], nav[4])
+    moves = channel.moves and np.isfinite(channel.res).sum() >= 3
     kalman.update(P, nav, memory.x, C, R, channel.mem, channel.dims, gate)
     channel.change[:] = 0.0
     if channel.verdict[2]:
-        own[0] = max(own[0], channel.moves)
-        if channel.moves or turns:
+        own[0] = max(own[0], moves)
+        if moves or turns:
             kalman.turn_velocity(P, nav, before, channel.change)
         withhold(memory, channel, drive_output)
 

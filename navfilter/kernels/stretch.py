@@ -180,6 +180,7 @@ def correction(sources):
             for i in range(a):
                 turned = max(turned, bench[spot[LEVER_NOISE] + i * a + i])
             measurement.hold_slopes(P, near, held, spot[HELD], start + errors, turned)
+        moves = spot[MOVES] != 0 and measurement.hold_unread(P, near, res, start + errors)
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
@@ -202,9 +203,9 @@ def correction(sources):
         change = mem[places[4] + 1 : places[5]]
         change[0], change[1], change[2] = 0.0, 0.0, 0.0
         if mem[places[8] + 2] != 0.0:
-            if spot[MOVES]:
+            if moves:
                 drv[strapdown.OWN] = 1.0
-            if spot[MOVES] or turns:
+            if moves or turns:
                 kalman.turn_velocity(P, nav, velocity, change)
         if mem[places[8] + 2] != 0.0:
             K, S = shaped(mem[places[1] : places[2]], n, a), shaped(mem[places[5] : places[6]], 2 * a, a)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import measurement
-from navfilter.sensors.ranges import EARTH, earth_fixed
+from navfilter.sensors.ranges import EARTH, SIGHT_S_PER_M, earth_fixed
 from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
 from navfilter.sensors.traits import Columns, Doubt, Example, angle_doubt
 from navfilter.start import Start
@@ -160,10 +160,10 @@ class Usbl(Sensor):
         }
 
     def constants(self, start: Start) -> Array:
-        """The Earth, the lever arm, and where the parameters stand."""
+        """The Earth, the lever arm, where the parameters stand, and how many readings share what a plane leaves out."""
         scale, turned = int(bool(self.scale_sd)), 3 * bool(self.misalignment_sd_rad)
         at = (0 if scale else -1, scale if turned else -1, scale + turned if any(self.ship_sd_m) else -1)
-        return np.array([*EARTH, *self.lever_arm_b_m, *at])
+        return np.array([*EARTH, *self.lever_arm_b_m, *at, SIGHT_S_PER_M * self.rate_hz])
 
     def read(self, value: Array) -> Array | None:
         """Range, bearing and elevation; the transceiver in the Earth's axes, and the rotation from these into its own.
