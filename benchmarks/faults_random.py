@@ -276,7 +276,7 @@ def told_s(vehicle: nf.Vehicle, events: Events) -> Callable[[Array], Array]:
     names = {n for n, s in vehicle.sensors.items() if s.corrects == "position" and s.axes > 1}
     times = np.array([-math.inf, *(e.true_s for e in events if e.sensor in names), math.inf])
     periods = [1.0 / vehicle.sensors[n].rate_hz for n in names]
-    gaps = np.diff(times) > max(THERE_S, 3.0 * min(periods))
+    gaps = np.diff(times) > max(THERE_S, 3.0 * min(periods, default=THERE_S))
     begins, ends = times[1:][gaps], times[:-1][gaps]
 
     def since(at_s: Array) -> Array:
@@ -384,7 +384,7 @@ if __name__ == "__main__":
     flags = [
         flag("--cases", type=int, default=200, help="how many"),
         flag("--first", type=int, default=20_000, help="number of the first"),
-        flag("--drive", choices=["imu", "dead-reckoning"], default="imu", help="a unit, or a velocity and a heading"),
+        flag("--drive", choices=["imu", "dead-reckoning", "acoustic"], default="imu", help="what drives"),
         flag("--smoothed", action="store_true", help="the smoothed track, too"),
         flag("--all", action="store_true", help="print all, not only those that are odd"),
         quick("four of them"),

@@ -28,6 +28,7 @@ from random_reckoning import reckoning
 from random_vehicles import MOTIONS, between, chance, north, place, unit, velocity
 
 import navfilter as nf
+from navfilter.kernels import listen
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
@@ -116,7 +117,8 @@ class Case:
         """The vehicle with all errors learnt that are not white, from a prior that is wrong."""
         r, learnt = np.random.default_rng([number, 1]), {}
         for name, sensor in self.vehicle.sensors.items():
-            hidden = isinstance(sensor, nf.WaterVelocity)  # by the current
+            # by the current, or never told apart from what the reading depends on
+            hidden = isinstance(sensor, nf.WaterVelocity) or sensor.open_loop == listen.NOTHING
             if isinstance(sensor.error, nf.ErrorModel) and not isinstance(sensor.error, nf.White) and not hidden:
                 sd = math.sqrt(sensor.mean_variance(0, 1)) * between(r, 0.5, 2.0)
                 slow = nf.GaussMarkov(sd=sd, tau_s=between(r, 10.0, 90.0)) + nf.White(sd=0.3 * sd)
