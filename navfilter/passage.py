@@ -416,7 +416,7 @@ class Passage:
             for k in mine[[0, -1]] if len(mine) else ():
                 channel.memory.use(float(times[k]))
             if tape is not None and len(mine):
-                notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
+                notes = self._notes.take(used.start + mine, axis=0)[:, : 3 + 2 * channel.axes]
                 tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)
         if tape is not None:
             tape.extend(out[:4], *cursor[[kernels.ROWS, kernels.RECORDS]].tolist())

@@ -60,7 +60,7 @@ def _off(track: Track, name: str) -> Array:
     again = refused & (np.r_[False, refused[:-1]] | (time_s < first_s + CONFIRMED_S))
     slow = _slow(sensor)
     limit = float(chi_square_limit(sensor.gate_probability, sensor.axes))
-    unseen = np.sqrt(limit * np.where(np.isnan(sd), 0.0, sd**2 + slow).max(axis=1))
+    unseen = np.sqrt(limit * _largest(np.where(np.isnan(sd), 0.0, sd**2 + slow)))
     last = _so_far(time_s, track.time_s) - 1
     off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]
     if sensor.corrects == "position" and sensor.axes == 3:
@@ -77,9 +77,14 @@ def _beat(value: Array, sd: Array, refused: NDArray[np.bool_], limit: float) -> 
     """Which fixes the state was set to against what was believed before: used after one that was refused, and beyond
     what the gate would have passed of that one.
     """
-    size = np.nan_to_num(np.abs(value)).max(axis=1)
-    let_in = ~refused[1:] & refused[:-1] & (size[1:] > np.sqrt(limit) * np.nan_to_num(sd[:-1]).max(axis=1))
+    size = _largest(np.nan_to_num(np.abs(value)))
+    let_in = ~refused[1:] & refused[:-1] & (size[1:] > np.sqrt(limit) * _largest(np.nan_to_num(sd[:-1])))
     return np.flatnonzero(let_in) + 1
+
+
+def _largest(rows: Array) -> Array:
+    """The largest of each row: of a few columns at a time, for row by row takes numpy fifteen times as long."""
+    return np.asarray(np.ascontiguousarray(rows.T).max(axis=0))
 
 
 def _with_offsets(track: Track, name: str, so: Callable[[Any], bool] = has_offset) -> list[tuple[float, float]]:

@@ -32,6 +32,7 @@ from navfilter.kernels.registers import call as _call
 from navfilter.kernels.registers import compiled as _compiled
 from navfilter.kernels.registers import lanes as _lanes
 from navfilter.kernels.registers import load as _load
+from navfilter.kernels.registers import magnitude as _magnitude
 from navfilter.kernels.registers import store as _store
 
 UNCOUNTED: dict = {"_nrt": False}
@@ -62,11 +63,6 @@ def _root(u):
     return u.called("sqrt") if isinstance(u, _Value) else np.sqrt(u)
 
 
-def _magnitude(u):
-    """Absolute values."""
-    return np.abs(u)
-
-
 def _smaller(u, v):
     """The smaller one of each two."""
     return u.called("minnum", v) if isinstance(u, _Value) else np.fmin(u, v)
@@ -79,7 +75,7 @@ def _larger(u, v):
 
 def _compile_all():
     """These functions are the compiler's own."""
-    for function, name in ((_root, "sqrt"), (_magnitude, "fabs"), (_smaller, "minnum"), (_larger, "maxnum")):
+    for function, name in ((_root, "sqrt"), (_smaller, "minnum"), (_larger, "maxnum")):
         count = function.__code__.co_argcount
 
         @_compiled(function, _lanes, *[_lanes] * count)

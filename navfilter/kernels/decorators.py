@@ -27,7 +27,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["apart", "flat", "njit", "shaped", "standing"]
+__all__ = ["apart", "flat", "njit", "scratch", "shaped", "standing"]
 
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
@@ -115,6 +115,19 @@ def standing(hand: Any, k: int, kind: Any) -> Any:
     return np.frombuffer((ctypes.c_char * size).from_address(at), kind).reshape(rows, columns)
 
 
+def scratch(kind: Any, rows: int, columns: int) -> Any:
+    """A matrix of this kind, of no particular numbers, that is gone when the kernel which asks for it returns: it lies
+    on the stack, and nobody has to be asked for memory. Not in a loop.
+    """
+    return np.empty((rows, columns), kind)
+
+
+@infer_global(scratch)
+class _Scratch(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.Array(args[0].dtype, 2, "C"), *map(types.unliteral, args))
+
+
 @infer_global(standing)
 class _Standing(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
@@ -154,6 +167,14 @@ def _build_shaped(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 def _build_flat(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     of = make_array(sig.args[0])(context, builder, value=args[0])
     return _view(context, builder, sig, of.data, of.itemsize, [builder.mul(*cgutils.unpack_tuple(builder, of.shape))])
+
+
+@lower_builtin(scratch, types.Any, types.Integer, types.Integer)
+def _build_scratch(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    kind = sig.return_type.dtype
+    lengths = [context.cast(builder, *of, types.intp) for of in zip(args[1:], sig.args[1:], strict=True)]
+    data = builder.alloca(context.get_data_type(kind), builder.mul(*lengths))
+    return _view(context, builder, sig, data, context.get_constant(types.intp, kind.bitwidth // 8), lengths)
 
 
 @lower_builtin(standing, types.Array, types.Integer, types.Any)

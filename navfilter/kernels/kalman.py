@@ -13,12 +13,15 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 
 from navfilter.kernels.decorators import apart, flat, njit, shaped
+from navfilter.kernels.registers import all_of, eight, not_zero, put, times, transposed
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 # Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
 HIGH, WIDE = 9, 8
+# So many terms of each sum of a product at a time: where its nine rows stand is then found out once for them.
+STEPS = 4
 # So many times as many columns of a weighted sum, and pairs of vectors that are taken off, at a time.
 BROAD = 3
 
@@ -39,13 +42,29 @@ def _less_twice(P, u, w):
         np.subtract(P, np.outer(f, g) + np.outer(g, f), P)
 
 
+def _less_half(P, f, A, out):
+    """Row P less half the sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at
+    least. One after the other.
+    """
+    np.copyto(out, P[: len(out)])
+    for factor, row in zip(f, A, strict=False):
+        np.subtract(out, 0.5 * factor * row[: len(out)], out)
+
+
+def _mirror(M, i, j):
+    """The square block of eight rows from i and eight columns from j on, transposed to across the diagonal."""
+    np.copyto(M[j : j + WIDE, i : i + WIDE], M[i : i + WIDE, j : j + WIDE].T)
+
+
 _ir = cgutils.ir
 _WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
 _ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
 
 
-def _compiled(function, count):
-    """Decorates what builds the instructions that stand for a function of so many arrays in a kernel."""
+def _compiled(function, count, numbers=0):
+    """Decorates what builds the instructions that stand for a function of so many arrays, and then whole numbers, in a
+    kernel.
+    """
 
     def generic(self, arguments, keywords):
         return signature(types.void, *arguments)
@@ -53,12 +72,13 @@ def _compiled(function, count):
     infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
 
     def built(build):
-        @lower_builtin(function, *(types.Array,) * count)
+        @lower_builtin(function, *(types.Array,) * count, *(types.Integer,) * numbers)
         def generate(context, builder, kinds, arguments):
-            given = zip(kinds.args, arguments, strict=True)
-            arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given]
+            given = list(zip(kinds.args, arguments, strict=True))
+            arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given[:count]]
             shapes = [cgutils.unpack_tuple(builder, array.shape) for array in arrays]
-            build(builder, [array.data for array in arrays], shapes)
+            whole = [context.cast(builder, value, kind, types.int64) for kind, value in given[count:]]
+            build(builder, [array.data for array in arrays], shapes, *whole)
             return context.get_dummy_value()
 
         return build
@@ -115,12 +135,22 @@ def _build_product(builder, data, shapes):
         mine = [_place(builder, left, i, inner, _number(0)) for i in places]
         for total in sums:
             builder.store(_ZERO, total)
-        with cgutils.for_range(builder, inner, intp=_WORD) as step:
-            factors = _eight(builder, _place(builder, right, step.index, width, column))
-            for total, terms in zip(sums, mine, strict=True):
-                term = _times_eight(builder, builder.load(builder.gep(terms, [step.index])))
-                term = builder.fmul(term, factors, flags=("contract",))
-                builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
+        several = builder.udiv(inner, _number(STEPS))
+
+        def add(first, count):
+            for i in range(count):
+                step = builder.add(first, _number(i))
+                factors = _eight(builder, _place(builder, right, step, width, column))
+                for total, terms in zip(sums, mine, strict=True):
+                    term = _times_eight(builder, builder.load(builder.gep(terms, [step])))
+                    term = builder.fmul(term, factors, flags=("contract",))
+                    builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
+
+        with cgutils.for_range(builder, several, intp=_WORD) as steps:
+            add(builder.mul(steps.index, _number(STEPS)), STEPS)
+        done = builder.mul(several, _number(STEPS))
+        with cgutils.for_range(builder, builder.sub(inner, done), intp=_WORD) as step:
+            add(builder.add(done, step.index), 1)
         for i, total in zip(places, sums, strict=True):
             _put(builder, builder.load(total), _place(builder, out, i, n, column))
 
@@ -153,6 +183,30 @@ def _build_weighted(builder, data, shapes):
             by(1)
         with many:
             by(BROAD)
+
+
+@_compiled(_less_half, 4)
+def _build_less_half(builder, data, shapes):
+    """Eight columns at a time."""
+    (P, f, A, out), (_, (k,), (_, width), (n,)) = data, shapes
+    total = cgutils.alloca_once(builder, _ROW)
+    with _parts(builder, n, WIDE) as wide:
+        column = _begin(builder, wide, n, WIDE)
+        builder.store(_eight(builder, builder.gep(P, [column])), total)
+        with cgutils.for_range(builder, k, intp=_WORD) as step:
+            factor = builder.load(builder.gep(f, [step.index]))
+            factor = _times_eight(builder, builder.fmul(factor, _ir.Constant(factor.type, 0.5)))
+            term = builder.fmul(factor, _eight(builder, _place(builder, A, step.index, width, column)))
+            builder.store(builder.fsub(builder.load(total), term), total)
+        _put(builder, builder.load(total), builder.gep(out, [column]))
+
+
+@_compiled(_mirror, 1, 2)
+def _build_mirror(builder, data, shapes, i, j):
+    ((M,), ((_, n),)) = data, shapes
+    rows = [_eight(builder, _place(builder, M, builder.add(i, _number(k)), n, j)) for k in range(WIDE)]
+    for k, row in enumerate(transposed(builder, rows)):
+        _put(builder, row, _place(builder, M, builder.add(j, _number(k)), n, i))
 
 
 @_compiled(_less_twice, 3)
@@ -262,10 +316,11 @@ def discount_heading(P, acc, nav, own, work):
 @njit(cache=True, **UNCOUNTED)
 def _reach(row, i):
     """From where to where a row of a transition is not zero; that of a state by itself alone is found at once."""
-    others = 0
-    for r in range(row.size):
-        others += row[r] != 0.0
-    if others == 1 and row[i] != 0.0:
+    alone, last = row[i] != 0.0, row.size - WIDE
+    for part in range(0, row.size, WIDE):
+        begin = min(part, last)
+        alone = alone and not_zero(eight(row, begin)) == (begin <= i < begin + WIDE)
+    if alone:
         return i, i + 1
     first, last = row.size, 0
     for r in range(row.size):
@@ -304,6 +359,15 @@ def present(P, acc, nav, inertial, own, work, out):
     for i in range(m, n):
         out[72 + i] = P[i, i]
     acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = kept0, kept1, kept3, kept4
+
+
+@njit(cache=True, **UNCOUNTED)
+def _copy(of, to):
+    """The first of some numbers to others, eight at least. A loop over numbers goes one by one."""
+    last = to.size - WIDE
+    for i in range(0, last, WIDE):
+        put(to, i, eight(of, i))
+    put(to, last, eight(of, last))
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -350,20 +414,27 @@ def fold(P, acc, nav, T):
     for i in range(9, moving):
         first, last = int(begins[i]), int(ends[i])
         for j in range(i + 1):
-            s = 0.5 * (acc[m + i, j] + acc[m + j, i])
-            for r in range(first, last):
+            s = 0.5 * (acc[m + i, j] + acc[m + j, i]) + T[j, first] * acc[i, first]
+            for r in range(first + 1, last):
                 s += T[j, r] * acc[i, r]
             P[i, j] = s
             P[j, i] = s
     for i in range(moving):
         if i < 9 or ends[i] - begins[i] != 1.0 or acc[i, i] != 1.0:
-            for j in range(moving, n):
+            if n - moving >= WIDE:
+                _copy(T[i][moving:], P[i][moving:])
+            for j in range(moving, n if i >= 9 or n - moving < WIDE else moving):
                 P[i, j] = T[i, j]
                 P[j, i] = T[i, j]
+    if n - moving >= WIDE:
+        for j in range(moving, n, WIDE):
+            column = min(j, n - WIDE)
+            _mirror(P, int(0), column)
+            _mirror(P, int(1), column)
     whole = flat(acc)
-    for i in range(moving * m):
-        whole[i] = 0.0
-        whole[m * m + i] = 0.0
+    for part in (whole[: moving * m], whole[m * m : (m + moving) * m]):
+        for i in range(part.size):
+            part[i] = 0.0
     for i in range(moving):
         acc[i, i] = 1.0
     _orthonormal(nav, T[0])
@@ -389,10 +460,12 @@ def unmoved(A):
     m = A.shape[1]
     if A[0, 3] != 0.0:
         return False  # velocity moves the position: nearly every other one ends here
-    others, diagonal = 0, 0
-    for i in range(A.shape[0]):
-        for j in range(m):
-            others += A[i, j] != 0.0
+    whole, others, diagonal = flat(A), 0, 0
+    rest = whole.size % WIDE
+    for i in range(0, whole.size - rest, WIDE):
+        others += not_zero(eight(whole, i))
+    for i in range(whole.size - rest, whole.size):
+        others += whole[i] != 0.0
     for i in range(m):
         diagonal += A[i, i] == 1.0
     return others == diagonal == m
@@ -453,12 +526,12 @@ def tick(P, x, start, A, B, T):
     for i in range(b):
         _weighted(A[i], P[start:], T[i])
     for i in range(b):
-        for j in range(n):
-            P[start + i, j] = T[i, j]
-    for j in range(n):
-        if j < start or j >= start + b:
-            for i in range(b):
-                P[j, start + i] = T[i, j]
+        _copy(T[i], P[start + i])
+    for i in range(b):
+        for j in range(start):
+            P[j, start + i] = T[i, j]
+        for j in range(start + b, n):
+            P[j, start + i] = T[i, j]
     for j in range(b):
         first, last = b, 0
         for r in range(b):
@@ -578,43 +651,24 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
     n, a = K.shape
     # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
     u, w = T[:a], T[a:]
+    for r in range(a):  # S and its inverse are symmetric to the bit
+        _weighted(S[a + r], PH, u[r])
     for r in range(a):
+        own = u[r]
         for i in range(n):
-            u[r, i] = 0.0
-        for c in range(a):
-            f = S[a + c, r]
-            for i in range(n):
-                u[r, i] += PH[c, i] * f
-    for r in range(a):
-        for i in range(n):
-            K[i, r] = u[r, i]
-            w[r, i] = PH[r, i]
-        for c in range(a):
-            f = 0.5 * S[c, r]
-            for i in range(n):
-                w[r, i] -= f * u[c, i]
+            K[i, r] = own[i]
+        _less_half(PH[r], S[r], u, w[r])
     _less_twice(P, u, w)
-    x0, y0, z0 = 0.0, 0.0, 0.0
-    for i in range(n):
-        s = 0.0
-        for j in range(a):
-            s += K[i, j] * res[j]
-        if i == 0:
-            nav[0] += s / nav[15]
-        elif i == 1:
-            nav[1] += s / (nav[16] * math.cos(nav[0]))
-        elif i == 2:
-            nav[2] -= s
-        elif i < 6:
-            nav[i] += s
-        elif i == 6:
-            x0 = s
-        elif i == 7:
-            y0 = s
-        elif i == 8:
-            z0 = s
-        else:
-            x[i - 9] += s
+    change = w[0]
+    _weighted(res, u, change)
+    nav[0] += change[0] / nav[15]
+    nav[1] += change[1] / (nav[16] * math.cos(nav[0]))
+    nav[2] -= change[2]
+    for i in range(3, 6):
+        nav[i] += change[i]
+    x0, y0, z0, others = change[6], change[7], change[8], change[9:]
+    for i in range(others.size):
+        x[i] += others[i]
     t2 = x0 * x0 + y0 * y0 + z0 * z0
     # C <- exp([d x]) C, column by column (Rodrigues); the series holds to 1e-16 below t2 = 1e-8
     t = math.sqrt(t2)
@@ -626,7 +680,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
         nav[9 + j] = v + p * g + q * (z0 * f - x0 * h)
         nav[12 + j] = w + p * h + q * (x0 * g - y0 * f)
     turn[0] = z0
-    _reset(P, 0.5 * z0, n)
+    _reset(P, 0.5 * z0)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -640,17 +694,43 @@ def _same(M, first):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _reset(M, half, n):
-    """M <- G M G' for the rotation of the tilts by half of what the heading turns, to second order."""
-    c = 1.0 - 2.0 * half * half / 3.0
-    for j in range(n):
-        u, v = M[6, j], M[7, j]
-        M[6, j] = c * u - half * v
-        M[7, j] = c * v + half * u
-    for i in range(n):
-        u, v = M[i, 6], M[i, 7]
-        M[i, 6] = c * u - half * v
-        M[i, 7] = c * v + half * u
+def _follow(M, first, last):
+    """Columns of a symmetric M become what its rows first to last, nine at most, are now; but not in those rows."""
+    n, high = M.shape[0], max(last, WIDE)
+    for j in range(high, n if n - high >= WIDE else high, WIDE):
+        _mirror(M, high - WIDE, min(j, n - WIDE))
+    for i in range(first, last):
+        for j in range(first):
+            M[j, i] = M[i, j]
+        for j in range(last, high if n - high >= WIDE else n):
+            M[j, i] = M[i, j]
+
+
+@njit(cache=True, inline="always")
+def _both_tilts(whole, at, j, c, half):
+    """The rows of the two tilts, which begin at `at`, turned: eight numbers from j on of each."""
+    u, v = eight(whole, at[0] + j), eight(whole, at[1] + j)
+    return times(c, u) - times(half, v), times(c, v) + times(half, u)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _reset(M, half):
+    """M <- G M G' for the rotation of the tilts by half of what the heading turns, to second order. M: symmetric."""
+    n, whole, c = M.shape[0], flat(M), 1.0 - 2.0 * half * half / 3.0
+    at, many, by = (6 * n, 7 * n), all_of(c), all_of(half)
+    last = n - WIDE
+    u, v = _both_tilts(whole, at, last, many, by)  # overlaps those before
+    for j in range(0, last, WIDE):
+        p, q = _both_tilts(whole, at, j, many, by)
+        put(whole, at[0] + j, p)
+        put(whole, at[1] + j, q)
+    put(whole, at[0] + last, u)
+    put(whole, at[1] + last, v)
+    _follow(M, int(6), int(8))
+    for i in range(6, 8):
+        a, b = M[i, 6], M[i, 7]
+        M[i, 6] = c * a - half * b
+        M[i, 7] = c * b + half * a
     _same(M, int(6))
 
 
@@ -684,9 +764,8 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
-    work, Phi = places(dims)[9], flat(acc)
-    for i in range(m * m):
-        mem[i] = Phi[i]
+    work = places(dims)[9]
+    _copy(flat(acc), mem[: m * m])
     if unmoved(acc[: 2 * m]):
         _orthonormal(nav, mem[work : work + 9])
     else:
@@ -759,16 +838,34 @@ def update(P, nav, x, C, R, mem, dims, limits):
             mem[ii + i * a + j] = S[a + i, j]
 
 
+@njit(cache=True, inline="always")
+def _with_turned(whole, n, first, of, j, x, y, z):
+    """Eight numbers from column j on of three rows, with the cross products added: see `_add_turned`."""
+    u, v, w = eight(whole, of * n + j), eight(whole, (of + 1) * n + j), eight(whole, (of + 2) * n + j)
+    a, b, c = eight(whole, first * n + j), eight(whole, (first + 1) * n + j), eight(whole, (first + 2) * n + j)
+    return (
+        a + (times(v, z) - times(w, y)),
+        b + (times(w, x) - times(u, z)),
+        c + (times(u, y) - times(v, x)),
+    )
+
+
 @njit(cache=True, **UNCOUNTED)
 def _add_turned(M, first, of, x, y, z):
-    """Add to three rows and columns of M the cross products of three others with (x, y, z)."""
-    n = M.shape[0]
-    for j in range(n):
-        u, v, w = M[of, j], M[of + 1, j], M[of + 2, j]
-        M[first, j] += v * z - w * y
-        M[first + 1, j] += w * x - u * z
-        M[first + 2, j] += u * y - v * x
-    for j in range(n):
+    """Add to three rows and columns of M, which is symmetric, the cross products of three others with (x, y, z)."""
+    n, whole, p, q, r = M.shape[0], flat(M), all_of(x), all_of(y), all_of(z)
+    last = n - WIDE
+    d, e, f = _with_turned(whole, n, first, of, last, p, q, r)  # overlaps those before
+    for j in range(0, last, WIDE):
+        a, b, c = _with_turned(whole, n, first, of, j, p, q, r)
+        put(whole, first * n + j, a)
+        put(whole, (first + 1) * n + j, b)
+        put(whole, (first + 2) * n + j, c)
+    put(whole, first * n + last, d)
+    put(whole, (first + 1) * n + last, e)
+    put(whole, (first + 2) * n + last, f)
+    _follow(M, first, first + 3)
+    for j in range(first, first + 3):
         u, v, w = M[j, of], M[j, of + 1], M[j, of + 2]
         M[j, first] += v * z - w * y
         M[j, first + 1] += w * x - u * z
@@ -917,7 +1014,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
             lam[7] += z * u - x * w
             lam[8] += x * v - y * u
         if half != 0.0:
-            _reset(L, -half, n)
+            _reset(L, -half)
             c, u, v = 1.0 - 2.0 * half * half / 3.0, lam[6], lam[7]
             lam[6] = c * u + half * v
             lam[7] = c * v - half * u

@@ -13,7 +13,10 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
 
-__all__ = ["LANES", "VECTOR", "all_of", "call", "compiled", "lanes", "load", "store"]
+__all__ = [
+    *("LANES", "VECTOR", "all_below", "all_of", "call", "compiled", "eight", "first_six", "if_below", "if_equal"),
+    *("lane", "lanes", "load", "magnitude", "not_zero", "put", "store", "times", "transposed"),
+]
 
 #: Numbers at a time: what the widest registers there are hold.
 LANES = 8
@@ -49,9 +52,59 @@ def store(array, row, value):
         array.reshape(-1, LANES)[row] = value
 
 
+def eight(array, first):
+    """Eight numbers of an array of one axis, from any element on."""
+    return array[first : first + LANES].copy()
+
+
+def put(array, first, value):
+    """Eight numbers to where `eight` would read them."""
+    array[first : first + LANES] = value
+
+
 def all_of(number):
     """Eight times the same number."""
     return np.full(LANES, number)
+
+
+def first_six(a, b, c, d, e, f):
+    """Six numbers, and two that are 0."""
+    return np.array([a, b, c, d, e, f, 0.0, 0.0])
+
+
+def lane(value, i):
+    """One of the numbers."""
+    return value[i]
+
+
+def times(a, b):
+    """Products, each rounded by itself: those of `*` may be rounded once with a sum."""
+    return a * b
+
+
+def magnitude(value):
+    """Absolute values."""
+    return np.abs(value)
+
+
+def not_zero(value):
+    """How many of the numbers are not 0."""
+    return int(np.count_nonzero(value))
+
+
+def if_below(a, b, yes, no):
+    """One or the other, where the first is the lesser one, and where it is not."""
+    return np.where(a < b, yes, no)
+
+
+def if_equal(a, b, yes, no):
+    """One or the other, where two are equal, and where they are not."""
+    return np.where(a == b, yes, no)
+
+
+def all_below(a, b):
+    """Whether of the first six numbers all are less than the others'; a NaN is not."""
+    return bool(np.all(a[:6] < b[:6]))
 
 
 def compiled(function, result, *kinds):
@@ -87,6 +140,26 @@ def _build_store(context, builder, kinds, arguments):
     return context.get_dummy_value()
 
 
+def _from(context, builder, kinds, arguments):
+    """Pointer to eight numbers: from element `arguments[1]` of an array on."""
+    array = context.make_array(kinds[0])(context, builder, value=arguments[0])
+    first = context.cast(builder, arguments[1], kinds[1], types.intp)
+    return builder.bitcast(builder.gep(array.data, [first]), VECTOR.as_pointer())
+
+
+@compiled(eight, lanes, types.Array, types.Integer)
+def _build_eight(context, builder, kinds, arguments):
+    value = builder.load(_from(context, builder, kinds.args, arguments))
+    value.align = 8
+    return value
+
+
+@compiled(put, types.void, types.Array, types.Integer, lanes)
+def _build_put(context, builder, kinds, arguments):
+    builder.store(arguments[2], _from(context, builder, kinds.args, arguments), align=8)
+    return context.get_dummy_value()
+
+
 @compiled(all_of, lanes, types.Float)
 def _build_all(context, builder, kinds, arguments):
     index, nothing = _ir.IntType(32), _ir.Constant(VECTOR, _ir.Undefined)
@@ -94,11 +167,73 @@ def _build_all(context, builder, kinds, arguments):
     return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(index, LANES), [0] * LANES))
 
 
+@compiled(times, lanes, lanes, lanes)
+def _build_times(context, builder, kinds, arguments):
+    return builder.fmul(*arguments)
+
+
+def transposed(builder, rows):
+    """Eight such values, the rows of a square block, as those of the block transposed: without a way through memory, for
+    what is stored number by number cannot be loaded in rows for a while.
+    """
+    rows, index, apart = list(rows), _ir.IntType(32), LANES // 2
+    while apart:
+        mine = [j if j & apart == 0 else LANES + j - apart for j in range(LANES)]
+        masks = [_ir.Constant(_ir.VectorType(index, LANES), [j + add for j in mine]) for add in (0, apart)]
+        for i in range(LANES):
+            if i & apart == 0:
+                pair = rows[i], rows[i + apart]
+                rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
+        apart //= 2
+    return rows
+
+
 def call(builder, name, *arguments):
     """One of the compiler's own functions."""
     kind = _ir.FunctionType(VECTOR, [VECTOR] * len(arguments))
     called = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
     return builder.call(called, arguments)
+
+
+@compiled(first_six, lanes, *[types.Float] * 6)
+def _build_six(context, builder, kinds, arguments):
+    value = _ir.Constant(VECTOR, [0.0] * LANES)
+    for i, argument in enumerate(arguments):
+        value = builder.insert_element(value, argument, _ir.Constant(_ir.IntType(32), i))
+    return value
+
+
+@compiled(lane, types.float64, lanes, types.Integer)
+def _build_lane(context, builder, kinds, arguments):
+    return builder.extract_element(arguments[0], context.cast(builder, arguments[1], kinds.args[1], types.int32))
+
+
+@compiled(magnitude, lanes, lanes)
+def _build_magnitude(context, builder, kinds, arguments):
+    return call(builder, "fabs", *arguments)
+
+
+@compiled(not_zero, types.int64, lanes)
+def _build_not_zero(context, builder, kinds, arguments):
+    bits = builder.fcmp_unordered("!=", arguments[0], _ir.Constant(VECTOR, [0.0] * LANES))
+    return builder.zext(builder.ctpop(builder.bitcast(bits, _ir.IntType(LANES))), _ir.IntType(64))
+
+
+@compiled(if_below, lanes, lanes, lanes, lanes, lanes)
+def _build_if_below(context, builder, kinds, arguments):
+    return builder.select(builder.fcmp_ordered("<", *arguments[:2]), *arguments[2:])
+
+
+@compiled(if_equal, lanes, lanes, lanes, lanes, lanes)
+def _build_if_equal(context, builder, kinds, arguments):
+    return builder.select(builder.fcmp_ordered("==", *arguments[:2]), *arguments[2:])
+
+
+@compiled(all_below, types.boolean, lanes, lanes)
+def _build_all_below(context, builder, kinds, arguments):
+    bits = builder.bitcast(builder.fcmp_ordered("<", *arguments), _ir.IntType(LANES))
+    six = _ir.Constant(_ir.IntType(LANES), 2**6 - 1)
+    return builder.icmp_unsigned("==", builder.and_(bits, six), six)
 
 
 def _compile_operators():

@@ -21,7 +21,8 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, flat, njit
+from navfilter.kernels.decorators import apart, flat, njit, scratch
+from navfilter.kernels.registers import all_of, load, store, times, transposed
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -33,6 +34,8 @@ EARTH_RATE = 7.292115e-5  # [rad/s]
 GRAVITY_EQUATOR = 9.7803253359  # Somigliana [m/s^2]
 GRAVITY_POLE = 9.8321849378
 GRAVITY_SLOPE = 2.0 / EARTH_RADIUS  # relative decrease per metre of height
+# Of the series of a rotation by a small angle: one by the factorials of 3, 5, 7 and 4, 6, 8.
+P3, P5, P7, Q4, Q6, Q8 = 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0, 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
 SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 
 # Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of
@@ -144,10 +147,8 @@ def _rodrigues(t2):
     if t2 > 1e-3:
         t = math.sqrt(t2)
         return math.sin(t) / t, (1.0 - math.cos(t)) / t2
-    # series: the first term left out is below 1e-17
-    return 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0)), 0.5 - t2 / 24.0 * (
-        1.0 - t2 / 30.0 * (1.0 - t2 / 56.0)
-    )
+    # series without divisions, which are slow: the first term left out is below 1e-17
+    return 1.0 - t2 * (P3 - t2 * (P5 - P7 * t2)), 0.5 - t2 * (Q4 - t2 * (Q6 - Q8 * t2))
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -326,16 +327,25 @@ def integrate(nav, drv, samples, out):
                 out[n, i] = nav[i]
 
 
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
+def _take_errors_off(inc, xd, dt, seen, kinds, gain):
+    """The drive's errors off the increments of a step; seen, kinds, gain: as `_which_errors` has it."""
+    if kinds[2]:
+        for i in range(6):
+            inc[i] -= dt * xd[i]
+    else:
+        for p in range(kinds[1]):
+            inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
+
+
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_advance(nav, xd, dt, drv, seen, noisy, work):
-    """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
-    dt, in `work` for `_carried`. seen, noisy, gains: as `_which_errors` has it.
+def _inertial_advance(nav, dt, drv, work):
+    """One strapdown step by increments of which the drive's errors have been taken off; leaves the elements of its
+    transition, of second order in dt, in `work` for `_carried`.
     """
-    inc, f, gain = work[:STEP], work[STEP:ROWS], work[GAINS:]
+    inc, f = work[:STEP], work[STEP:ROWS]
     C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
-    for p in range(noisy):
-        inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
     _mechanise(nav, inc, dt, C, mid)
     pn, pe, pd, mn, me, md, g = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6]
     by_rn, by_re, sl, cl, tl = mid[7], mid[8], mid[9], mid[10], mid[11]
@@ -368,19 +378,21 @@ def _carried(x, e, f, C, half):
     """Nine rows x of navigation from the left by the transition of one step: attitude, then velocity with the mean
     attitude error, then position with the mean velocity error.
 
-    e: rows of what the errors of the six readings do in the step; f, C: see `_inertial_advance`; half: of the step.
+    e: rows of what the errors of the six readings do in the step, if anything; f, C: see `_inertial_advance`; half: of the step.
     Only elements that are not zero: ten times as quick as a product of whole matrices. For arrays, and for registers.
     """
     tn, te, td, pn, pe, pd = f[1], f[2], f[3], f[4], f[5], f[6]
     y6 = x[6] + td * x[7] - te * x[8] + f[7] * x[4] + f[10] * x[0] + f[12] * x[2]
     y7 = x[7] - td * x[6] + tn * x[8] + f[8] * x[3] + f[13] * x[2]
     y8 = x[8] + te * x[6] - tn * x[7] + f[9] * x[4] + f[11] * x[0] + f[14] * x[2]
-    y6, y7, y8 = (y - (C[i] * e[0] + C[i + 1] * e[1] + C[i + 2] * e[2]) for i, y in ((0, y6), (3, y7), (6, y8)))
+    if e:
+        y6, y7, y8 = (y - (C[i] * e[0] + C[i + 1] * e[1] + C[i + 2] * e[2]) for i, y in ((0, y6), (3, y7), (6, y8)))
     a, b, c = 0.5 * (y6 + x[6]), 0.5 * (y7 + x[7]), 0.5 * (y8 + x[8])
     y3 = f[15] * x[3] + f[16] * x[4] + f[17] * x[5] + f[23] * x[0] + f[26] * x[2] + (b * pd - c * pe)
     y4 = f[18] * x[3] + f[19] * x[4] + f[20] * x[5] + f[24] * x[0] + f[27] * x[2] + (c * pn - a * pd)
     y5 = f[21] * x[3] + f[22] * x[4] + x[5] + f[25] * x[0] + f[28] * x[2] + (a * pe - b * pn)
-    y3, y4, y5 = (y - (C[i] * e[3] + C[i + 1] * e[4] + C[i + 2] * e[5]) for i, y in ((0, y3), (3, y4), (6, y5)))
+    if e:
+        y3, y4, y5 = (y - (C[i] * e[3] + C[i + 1] * e[4] + C[i + 2] * e[5]) for i, y in ((0, y3), (3, y4), (6, y5)))
     y0 = f[29] * x[0] + f[30] * x[2] + half * (y3 + x[3])
     y1 = f[31] * x[0] + f[32] * x[1] + f[33] * x[2] + half * (y4 + x[4])
     return y0, y1, x[2] + half * (y5 + x[5]), y3, y4, y5, y6, y7, y8
@@ -422,20 +434,28 @@ def _carry_panel(Z, e, by, f, C):
     np.copyto(x, np.array(_carried(x, e, f, C, 0.5 * f[0])))
 
 
+def _carry_alone(Z, f):
+    """`_carry_panel` where no errors enter."""
+    x = Z[: 9 * WIDE].reshape(9, WIDE)
+    np.copyto(x, np.array(_carried(x, (), f, (), 0.5 * f[0])))
+
+
 @infer_global(_carry_panel)
-class _OfCarryPanel(AbstractTemplate):
+@infer_global(_carry_alone)
+class _OfCarry(AbstractTemplate):
     def generic(self, arguments, keywords):
         return signature(types.void, *arguments)
 
 
+@lower_builtin(_carry_alone, types.Array, types.Array)
 @lower_builtin(_carry_panel, types.Array, types.Array, types.Float, types.Array, types.Array)
-def _build_carry_panel(context, builder, kinds, arguments):
+def _build_carry(context, builder, kinds, arguments):
     """Each row in one register, where those are wide enough, or in two."""
     given = [
         context.make_array(kind)(context, builder, value=value).data if isinstance(kind, types.Array) else value
         for kind, value in zip(kinds.args, arguments, strict=True)
     ]
-    Z, e, by, f, C = given
+    Z, *e, f, C = given if len(given) > 2 else (*given, None)
     index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
 
     def place(data, i):
@@ -449,11 +469,24 @@ def _build_carry_panel(context, builder, kinds, arguments):
     def number(data, i):
         return _Row.of(builder, builder.load(builder.gep(data, [cgutils.ir.Constant(index, i)])))
 
-    by, f = _Row.of(builder, by), [number(f, i) for i in range(34)]
-    x, errors = [at(Z, i) for i in range(9)], [by * at(e, i) for i in range(6)]
-    for i, y in enumerate(_carried(x, errors, f, [number(C, i) for i in range(9)], 0.5 * f[0])):
+    f, x, errors, turn = [number(f, i) for i in range(34)], [at(Z, i) for i in range(9)], [], []
+    if e:
+        by = _Row.of(builder, e[1])
+        errors, turn = [by * at(e[0], i) for i in range(6)], [number(C, i) for i in range(9)]
+    for i, y in enumerate(_carried(x, errors, f, turn, 0.5 * f[0])):
         builder.store(y.value, place(Z, i), align=8)
     return context.get_dummy_value()
+
+
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
+def _carry_directly(X, work, C, moving, Phi_ends):
+    """`_inertial_carry` where errors enter plainly, and no constant does: without a call, for each sample has two."""
+    f, size = work[STEP:ROWS], _high(moving) * WIDE
+    if Phi_ends > 0:
+        _carry_alone(X[:size], f)
+    for begin in range(size if Phi_ends > 0 else 0, X.size, size):
+        Z = X[begin : begin + size]
+        _carry_panel(Z, Z[9 * WIDE :], f[0], f, C)
 
 
 @apart
@@ -472,6 +505,9 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
     for left in range(0, X.size // high, WIDE):
         begin = left * high
         Z = X[begin : begin + high * WIDE]
+        if begin < Phi_ends and left + WIDE <= 9:  # no error depends on navigation
+            _carry_alone(Z, f)
+            continue
         constant = varying < count and begin < Phi_ends and left + WIDE > moving
         if direct and not constant:
             _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
@@ -479,16 +515,14 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
         if constant and left >= moving:
             _carry_panel(Z, G[6 * left :], dt, f, C)
             continue
-        for j in range(6 * WIDE):
-            E[j] = Z[9 * WIDE + j] if plain else 0.0
+        for i in range(6):
+            store(E, i, load(Z, 9 + i) if plain else all_of(0.0))
         for p in range(noisy if plain else 0, varying):
-            row, of = WIDE * seen[0, p], WIDE * (9 + seen[1, p])
-            for j in range(WIDE):
-                E[row + j] += gain[p] * Z[of + j]
+            row = seen[0, p]
+            store(E, row, load(E, row) + times(all_of(gain[p]), load(Z, 9 + seen[1, p])))
         if constant:
-            enters = G[6 * left :]
-            for j in range(6 * WIDE):
-                E[j] += enters[j]
+            for i in range(6):
+                store(E, i, load(E, i) + load(G, 6 * (left // WIDE) + i))
         _carry_panel(Z, E, dt, f, C)
 
 
@@ -503,8 +537,7 @@ def _tick_rows(X, Phid, diagonal, T, moving):
             for i in range(k):
                 c = Phid[i, i]
                 if c != 1.0:
-                    for j in range(WIDE):
-                        Z[i * WIDE + j] *= c
+                    store(Z, i, load(Z, i) * all_of(c))
             continue
         for i in range(k):
             for j in range(WIDE):
@@ -533,9 +566,7 @@ class _OfExchange(AbstractTemplate):
 
 @lower_builtin(_exchange, types.Array, *(types.Integer,) * 4)
 def _build_exchange(context, builder, kinds, arguments):
-    """In registers: what is stored number by number cannot be loaded in rows for a while, which took longer than all
-    else of it.
-    """
+    """In registers, see `registers.transposed`."""
     index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
     data = context.make_array(kinds.args[0])(context, builder, value=arguments[0]).data
     places = []
@@ -546,18 +577,8 @@ def _build_exchange(context, builder, kinds, arguments):
     for rows in blocks:
         for value in rows:
             value.align = 8
-        apart = WIDE // 2
-        while apart:
-            mine = [j if j & apart == 0 else WIDE + j - apart for j in range(WIDE)]
-            masks = [[j + add for j in mine] for add in (0, apart)]
-            masks = [cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), mask) for mask in masks]
-            for i in range(WIDE):
-                if i & apart == 0:
-                    pair = rows[i], rows[i + apart]
-                    rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
-            apart //= 2
     for block, rows in zip(places[2:], blocks, strict=True):
-        for place, value in zip(block, rows, strict=True):
+        for place, value in zip(block, transposed(builder, rows), strict=True):
             builder.store(value, place, align=8)
     return context.get_dummy_value()
 
@@ -607,14 +628,20 @@ def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both,
     them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
-    Phi_ends = both.size - Q.size
+    Phi_ends, direct = both.size - Q.size, kinds[2] and kinds[0] == kinds[1]
     moved = both if gathered else both[:Phi_ends]
-    _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
+    if direct:
+        _carry_directly(moved, work, C, moving, Phi_ends)
+    else:
+        _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
     if ticks > 0 and not walks:
         _tick_rows(moved, Phid, diagonal, T, moving)
     if gathered:
         _transpose(Q, moving)
-        _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
+        if direct:
+            _carry_directly(Q, work, C, moving, int(0))
+        else:
+            _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
     for count in range(ticks):
         if count > 0 and not walks:
             _tick_rows(both, Phid, diagonal, T, moving)
@@ -626,6 +653,14 @@ def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both,
                 Q[_place(9 + i, 9 + i, moving)] += Qd[i, i]
         else:
             _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving)
+
+
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
+def _add_both(Q, i, j, value, m):
+    """Add to an element of the panels of a symmetric matrix of m rows, and to the one across."""
+    Q[_place(i, j, m)] += value
+    if i != j:
+        Q[_place(j, i, m)] += value
 
 
 @apart
@@ -647,15 +682,17 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
         v0, v1, v2 = v0 + unseen, v1 + unseen, v2 + unseen
     for i in range(3):
         x, y, z = C[3 * i], C[3 * i + 1], C[3 * i + 2]
-        for j in range(3):
+        for j in range(i + 1):
             xx, yy, zz = x * C[3 * j], y * C[3 * j + 1], z * C[3 * j + 2]
-            Q[_place(6 + i, 6 + j, moving)] += xx * a0 + yy * a1 + zz * a2
-            speed = xx * v0 + yy * v1 + zz * v2
-            Q[_place(3 + i, 3 + j, moving)] += speed
+            angle, speed = xx * a0 + yy * a1 + zz * a2, xx * v0 + yy * v1 + zz * v2
+            _add_both(Q, 6 + i, 6 + j, angle, moving)
+            _add_both(Q, 3 + i, 3 + j, speed, moving)
             if gap:
-                Q[_place(i, j, moving)] += speed * 0.25 * dt * dt
-                Q[_place(i, 3 + j, moving)] += speed * 0.5 * dt
-                Q[_place(3 + i, j, moving)] += speed * 0.5 * dt
+                way = speed * 0.5 * dt
+                _add_both(Q, i, j, speed * 0.25 * dt * dt, moving)
+                _add_both(Q, 3 + i, j, way, moving)
+                if i != j:
+                    _add_both(Q, 3 + j, i, way, moving)
 
 
 @apart
@@ -873,7 +910,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
-    floats, seen = np.empty(_room(9 + len(xd))), np.empty((4, 6 * len(xd)), np.int64)
+    floats, seen = flat(scratch(np.float64, int(1), _room(9 + len(xd)))), scratch(np.int64, int(4), 6 * len(xd))
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, samples[:0])
 
 
@@ -882,7 +919,7 @@ def imu_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
     """`imu_steps` that leaves in the rows of `trace`, if it has any, what each sample leaves: nav, xd, Phi and Q, and
     WIDE elements of work space.
     """
-    floats, seen = np.empty(_room(9 + len(xd))), np.empty((4, 6 * len(xd)), np.int64)
+    floats, seen = flat(scratch(np.float64, int(1), _room(9 + len(xd)))), scratch(np.int64, int(4), 6 * len(xd))
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace)
 
 
@@ -949,7 +986,8 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
             if kinds[3] == kinds[0]:  # they are no constants
                 _note_calibration(xd, drv)
             _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
-        _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
+        _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
+        _inertial_advance(nav, dt, drv, work)
         ticks = _ticks(samples[n, 0], drv)
         _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving)
         _inertial_noise(dt, drv, Cr, Q, moving)
@@ -964,8 +1002,8 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
 @njit(cache=True, error_model="numpy")
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
-    k = len(xd)
-    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((4, 6 * k), np.int64))
+    floats, seen = flat(scratch(np.float64, int(1), _room(9 + len(xd)))), scratch(np.int64, int(4), 6 * len(xd))
+    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen)
 
 
 @apart
@@ -984,7 +1022,8 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
         _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
-    _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
+    _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
+    _inertial_advance(nav, dt, drv, work)
     _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, work, both, Q, gathered, moving)
     _inertial_noise(dt, drv, Cr, Q, moving)
     _from_panels(both[: both.size - Q.size], flat(acc), m, moving)

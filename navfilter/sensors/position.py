@@ -211,6 +211,22 @@ class Position(Sensor):
             return np.ascontiguousarray(value[:3])
         return np.array([value[0], value[1], self.antenna_height_m])
 
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """The same of many."""
+        otherwise = type(self).read is not Position.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
+            return super().read_all(values)
+        north, east, up = values.T[:3]
+        poor = ((north == 0.0) & (east == 0.0)) | (np.abs(up) > HIGHEST_M)
+        if values.shape[1] > 3:
+            poor |= values[:, 3] > self.max_hdop
+        z = np.array(values[:, :3], dtype=np.float64)
+        if self.antenna_height_m is not None:
+            z[:, 2] = self.antenna_height_m
+        good = ~poor & (np.abs(north) <= math.pi / 2) & (np.abs(east) <= 2 * math.pi)
+        z[~good] = math.nan
+        return z, good
+
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a position, down being the third axis."""
         return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
