@@ -252,14 +252,14 @@ def _increments(samples, n, drv, inc):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _mechanise(nav, inc, dt, C, mid):
+def _mechanise(nav, inc, dt, C):
     """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
 
-    C (9,) receives the mean of C_nb over the step, mid (12,) what the transition needs: the velocity increment in n
-    (3), the mean velocity (3), gravity, one by each radius, sine and cosine of the latitude before, and its tangent.
+    C (9,) receives the mean of C_nb over the step. Returns what the transition needs: the velocity increment in n (3),
+    the mean velocity (3), gravity, one by each radius, sine and cosine of the latitude before, and its tangent.
     """
-    for i in range(9):
-        C[i] = nav[6 + i]
+    # what is read once the compiler need not fetch again after each number that it writes
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = nav[6], nav[7], nav[8], nav[9], nav[10], nav[11], nav[12], nav[13], nav[14]
     th0, th1, th2, u0, u1, u2 = inc[0], inc[1], inc[2], inc[3], inc[4], inc[5]
     # rotation of the velocity increment within the sample (Savage, 1998, part 2)
     d0 = u0 + 0.5 * (th1 * u2 - th2 * u1)
@@ -275,9 +275,9 @@ def _mechanise(nav, inc, dt, C, mid):
     rn = re * (1.0 - EARTH_E2) * root * root + h
     re += h
     by_rn, by_re, tl = 1.0 / rn, 1.0 / re, sl / cl
-    an = C[0] * d0 + C[1] * d1 + C[2] * d2
-    ae = C[3] * d0 + C[4] * d1 + C[5] * d2
-    ad = C[6] * d0 + C[7] * d1 + C[8] * d2
+    an = c0 * d0 + c1 * d1 + c2 * d2
+    ae = c3 * d0 + c4 * d1 + c5 * d2
+    ad = c6 * d0 + c7 * d1 + c8 * d2
     g = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sl * sl) * root * (1.0 - GRAVITY_SLOPE * (h - 0.5 * vd * dt))
     mn, me, md = vn + 0.5 * an, ve + 0.5 * ae, vd + 0.5 * (ad + g * dt)  # velocity at mid-sample
     ien, ied = EARTH_RATE * cl, -EARTH_RATE * sl
@@ -297,20 +297,21 @@ def _mechanise(nav, inc, dt, C, mid):
     nav[1] += me * dt / ((re + hm) * (cl - 0.5 * sl * dlat))
     nav[2] = h - md * dt
     nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
-    mid[0], mid[1], mid[2], mid[3], mid[4], mid[5] = pn, pe, pd, mn, me, md
-    mid[6], mid[7], mid[8], mid[9], mid[10], mid[11] = g, by_rn, by_re, sl, cl, tl
     # C exp([th x]): each row turned by -th; then exp(-[w dt x]) C: each column turned by -w dt
     a, b = _rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
-    c0, c1, c2 = _turned(-a, b, th0, th1, th2, C[0], C[1], C[2])
-    c3, c4, c5 = _turned(-a, b, th0, th1, th2, C[3], C[4], C[5])
-    c6, c7, c8 = _turned(-a, b, th0, th1, th2, C[6], C[7], C[8])
+    d0, d1, d2 = _turned(-a, b, th0, th1, th2, c0, c1, c2)
+    d3, d4, d5 = _turned(-a, b, th0, th1, th2, c3, c4, c5)
+    d6, d7, d8 = _turned(-a, b, th0, th1, th2, c6, c7, c8)
     x, y, z = wn * dt, we * dt, wd * dt
     a, b = _rodrigues(x * x + y * y + z * z)
-    nav[6], nav[9], nav[12] = _turned(-a, b, x, y, z, c0, c3, c6)
-    nav[7], nav[10], nav[13] = _turned(-a, b, x, y, z, c1, c4, c7)
-    nav[8], nav[11], nav[14] = _turned(-a, b, x, y, z, c2, c5, c8)
-    for i in range(9):
-        C[i] = 0.5 * (C[i] + nav[6 + i])
+    d0, d3, d6 = _turned(-a, b, x, y, z, d0, d3, d6)
+    d1, d4, d7 = _turned(-a, b, x, y, z, d1, d4, d7)
+    d2, d5, d8 = _turned(-a, b, x, y, z, d2, d5, d8)
+    nav[6], nav[7], nav[8], nav[9], nav[10], nav[11], nav[12], nav[13], nav[14] = d0, d1, d2, d3, d4, d5, d6, d7, d8
+    C[0], C[1], C[2] = 0.5 * (c0 + d0), 0.5 * (c1 + d1), 0.5 * (c2 + d2)
+    C[3], C[4], C[5] = 0.5 * (c3 + d3), 0.5 * (c4 + d4), 0.5 * (c5 + d5)
+    C[6], C[7], C[8] = 0.5 * (c6 + d6), 0.5 * (c7 + d7), 0.5 * (c8 + d8)
+    return pn, pe, pd, mn, me, md, g, by_rn, by_re, sl, cl, tl
 
 
 @njit(cache=True, error_model="numpy")
@@ -318,10 +319,10 @@ def integrate(nav, drv, samples, out):
     """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it
     has any.
     """
-    inc, C, mid = np.empty(6), np.empty(9), np.empty(12)
+    inc, C = np.empty(6), np.empty(9)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
-        _mechanise(nav, inc, samples[n, 0], C, mid)
+        _mechanise(nav, inc, samples[n, 0], C)
         if out.shape[0] > 0:
             for i in range(17):
                 out[n, i] = nav[i]
@@ -345,10 +346,7 @@ def _inertial_advance(nav, dt, drv, work):
     transition, of second order in dt, in `work` for `_carried`.
     """
     inc, f = work[:STEP], work[STEP:ROWS]
-    C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
-    _mechanise(nav, inc, dt, C, mid)
-    pn, pe, pd, mn, me, md, g = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6]
-    by_rn, by_re, sl, cl, tl = mid[7], mid[8], mid[9], mid[10], mid[11]
+    pn, pe, pd, mn, me, md, g, by_rn, by_re, sl, cl, tl = _mechanise(nav, inc, dt, drv[MEAN_C : MEAN_C + 9])
     by_cl = 1.0 / cl
     north, east, down = mn * by_rn, me * by_re, md * by_re  # the same as angles
     wn, we, wd = EARTH_RATE * cl + east, -north, -EARTH_RATE * sl - east * tl
