@@ -244,16 +244,23 @@ def _build_less_twice(builder, data, shapes):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
+def _multiply(A, B, out):
+    """`_product`, compiled once."""
+    _product(A, B, out)
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
     """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
     columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
-    _product(acc[:9], P[:m], T)
+    _multiply(acc[:9], P[:m], T)
     for i in range(9):
         for j in range(m):
             A[j, i] = T[i, j]
-    _product(acc[:9], A, head)
+    _multiply(acc[:9], A, head)
     _bend(P, head)
 
 
@@ -693,6 +700,7 @@ def _same(M, first):
             M[j, i] = s
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _follow(M, first, last):
     """Columns of a symmetric M become what its rows first to last, nine at most, are now; but not in those rows."""
@@ -1128,7 +1136,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = Phi[j, i]
-    _product(C, L[:9], T)
+    _multiply(C, L[:9], T)
     for r in range(9, m):
         for i in range(m):
             f = Phi[r, i]
@@ -1138,7 +1146,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = T[i, j]
-    _product(C, Phi[:9], A)
+    _multiply(C, Phi[:9], A)
     for r in range(9, m):
         for j in range(m):
             f = Phi[r, j]
@@ -1170,8 +1178,8 @@ def _head_transposed(L, lam, Phi, work):
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
-    _product(P, L, T)
-    _product(T, P, cov)
+    _multiply(P, L, T)
+    _multiply(T, P, cov)
     for i in range(n):
         s = 0.0
         for j in range(n):
