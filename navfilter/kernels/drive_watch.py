@@ -9,7 +9,17 @@ bit); everything else is in rates and forces.
 import math
 
 from navfilter.kernels.decorators import apart, njit
-from navfilter.kernels.registers import all_below, all_of, first_six, if_below, if_equal, lane, magnitude, times
+from navfilter.kernels.registers import (
+    all_below,
+    all_of,
+    column,
+    first_six,
+    if_below,
+    if_equal,
+    magnitude,
+    put_column,
+    times,
+)
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -78,24 +88,13 @@ def look(samples, w, sd, limits, period_s, increments):
     return n
 
 
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _is_calm(w, period_s):
     """Whether axes are what they nearly always are: known, good, and no steps that repeat."""
     calm = True
     for i in range(6):
         calm = calm and w[i, CODE] == GOOD and w[i, SEEN] * period_s > KNOWN_S and w[i, RUN] < LEAST_RUN - SEVERAL
     return calm
-
-
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _column(w, j):
-    return first_six(w[0, j], w[1, j], w[2, j], w[3, j], w[4, j], w[5, j])
-
-
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _put(w, j, value):
-    w[0, j], w[1, j], w[2, j] = lane(value, 0), lane(value, 1), lane(value, 2)
-    w[3, j], w[4, j], w[5, j] = lane(value, 3), lane(value, 4), lane(value, 5)
 
 
 @apart
@@ -108,9 +107,9 @@ def _look_at_ordinary(samples, n, w, sd, limits, period_s, increments):
     white = times(times(all_of(6.0), six), six)
     ends = first_six(limits[0], limits[1], limits[2], limits[3], limits[4], limits[5])
     one, none, nothing_less = all_of(1.0), all_of(0.0), all_of(math.inf)
-    last_raw, run, repeats, quantum = _column(w, RAW), _column(w, RUN), _column(w, REPEATS), _column(w, QUANTUM)
-    last, before, extreme = _column(w, LAST), _column(w, BEFORE), _column(w, EXTREME)
-    noise, usual, seen, mean = _column(w, NOISE), _column(w, USUAL), _column(w, SEEN), _column(w, MEAN)
+    last_raw, run, repeats, quantum = column(w, RAW), column(w, RUN), column(w, REPEATS), column(w, QUANTUM)
+    last, before, extreme = column(w, LAST), column(w, BEFORE), column(w, EXTREME)
+    noise, usual, seen, mean = column(w, NOISE), column(w, USUAL), column(w, SEEN), column(w, MEAN)
     quick, slow = all_of(period_s / NOISE_S), all_of(period_s / USUAL_S)
     part = one / seen
     while n < samples.shape[0]:
@@ -149,21 +148,21 @@ def _look_at_ordinary(samples, n, w, sd, limits, period_s, increments):
         gain = all_of(dt / MEAN_S)
         gain = if_below(gain, part, part, gain)
         mean = mean + times(x - mean, if_below(one, gain, one, gain))
-        _put(w, MEAN, mean)
-        _put(w, LAST, last)
+        put_column(w, MEAN, mean)
+        put_column(w, LAST, last)
         _turn(sample, w, period_s, increments)
         n += 1
         if w[UNIT, NEWS] != 0.0:
             break
-    _put(w, RAW, last_raw)
-    _put(w, RUN, run)
-    _put(w, REPEATS, repeats)
-    _put(w, QUANTUM, quantum)
-    _put(w, BEFORE, before)
-    _put(w, EXTREME, extreme)
-    _put(w, NOISE, noise)
-    _put(w, USUAL, usual)
-    _put(w, SEEN, seen)
+    put_column(w, RAW, last_raw)
+    put_column(w, RUN, run)
+    put_column(w, REPEATS, repeats)
+    put_column(w, QUANTUM, quantum)
+    put_column(w, BEFORE, before)
+    put_column(w, EXTREME, extreme)
+    put_column(w, NOISE, noise)
+    put_column(w, USUAL, usual)
+    put_column(w, SEEN, seen)
     return n
 
 

@@ -14,8 +14,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin, models, register_model
 
 __all__ = [
-    *("LANES", "VECTOR", "all_below", "all_of", "call", "compiled", "eight", "first_six", "if_below", "if_equal"),
-    *("lane", "lanes", "load", "magnitude", "not_zero", "put", "store", "times", "transposed"),
+    *("LANES", "VECTOR", "all_below", "all_of", "call", "column", "compiled", "eight", "first_six", "if_below"),
+    *("if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_column", "store", "times", "transposed"),
 ]
 
 #: Numbers at a time: what the widest registers there are hold.
@@ -72,9 +72,14 @@ def first_six(a, b, c, d, e, f):
     return np.array([a, b, c, d, e, f, 0.0, 0.0])
 
 
-def lane(value, i):
-    """One of the numbers."""
-    return value[i]
+def column(table, j):
+    """Six numbers of a column of a table, and two that are 0."""
+    return np.append(table[:6, j], [0.0, 0.0])
+
+
+def put_column(table, j, value):
+    """The first six numbers into a column of a table."""
+    table[:6, j] = value[:6]
 
 
 def times(a, b):
@@ -173,7 +178,7 @@ def _build_times(context, builder, kinds, arguments):
 
 
 def transposed(builder, rows):
-    """Eight such values, the rows of a square block, as those of the block transposed: without a way through memory, for
+    """Eight such values, the rows of a square block, as those of the block transposed. Without a way through memory:
     what is stored number by number cannot be loaded in rows for a while.
     """
     rows, index, apart = list(rows), _ir.IntType(32), LANES // 2
@@ -203,9 +208,29 @@ def _build_six(context, builder, kinds, arguments):
     return value
 
 
-@compiled(lane, types.float64, lanes, types.Integer)
-def _build_lane(context, builder, kinds, arguments):
-    return builder.extract_element(arguments[0], context.cast(builder, arguments[1], kinds.args[1], types.int32))
+def _in_column(context, builder, kinds, arguments):
+    """Pointers to the first six numbers of column `arguments[1]` of a table."""
+    table = context.make_array(kinds[0])(context, builder, value=arguments[0])
+    place, width = (
+        context.cast(builder, arguments[1], kinds[1], types.intp),
+        cgutils.unpack_tuple(builder, table.shape)[1],
+    )
+    for _ in range(6):
+        yield builder.gep(table.data, [place])
+        place = builder.add(place, width)
+
+
+@compiled(column, lanes, types.Array, types.Integer)
+def _build_column(context, builder, kinds, arguments):
+    places = _in_column(context, builder, kinds.args, arguments)
+    return _build_six(context, builder, kinds, [builder.load(place) for place in places])
+
+
+@compiled(put_column, types.void, types.Array, types.Integer, lanes)
+def _build_put_column(context, builder, kinds, arguments):
+    for i, place in enumerate(_in_column(context, builder, kinds.args, arguments)):
+        builder.store(builder.extract_element(arguments[2], _ir.Constant(_ir.IntType(32), i)), place)
+    return context.get_dummy_value()
 
 
 @compiled(magnitude, lanes, lanes)

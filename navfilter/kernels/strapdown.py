@@ -376,8 +376,9 @@ def _carried(x, e, f, C, half):
     """Nine rows x of navigation from the left by the transition of one step: attitude, then velocity with the mean
     attitude error, then position with the mean velocity error.
 
-    e: rows of what the errors of the six readings do in the step, if anything; f, C: see `_inertial_advance`; half: of the step.
-    Only elements that are not zero: ten times as quick as a product of whole matrices. For arrays, and for registers.
+    e: rows of what the errors of the six readings do in the step, if any; f, C: see `_inertial_advance`; half: of the
+    step. Only elements that are not zero: ten times as quick as a product of whole matrices. For arrays, and for
+    registers.
     """
     tn, te, td, pn, pe, pd = f[1], f[2], f[3], f[4], f[5], f[6]
     y6 = x[6] + td * x[7] - te * x[8] + f[7] * x[4] + f[10] * x[0] + f[12] * x[2]
@@ -618,15 +619,16 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving):
+def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, work, both, Q, gathered, moving):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in `work`; the drive's blocks
     tick, and their mean too.
 
-    ticking: whether a tick is diagonal, and whether nothing but noise comes with it. both: panels of Phi and behind
+    ticking: whether a tick is diagonal, and whether nothing but noise comes with it; direct: whether panels may go by
+    `_carry_directly`. both: panels of Phi and behind
     them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
-    Phi_ends, direct = both.size - Q.size, kinds[2] and kinds[0] == kinds[1]
+    Phi_ends = both.size - Q.size
     moved = both if gathered else both[:Phi_ends]
     if direct:
         _carry_directly(moved, work, C, moving, Phi_ends)
@@ -971,7 +973,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     both, Q, work = _workspace(floats, m, moving)
     kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
     _note_calibration(xd, drv)
-    C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
+    C, inc, direct = drv[MEAN_C : MEAN_C + 9], work[:STEP], kinds[2] and kinds[0] == kinds[1]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -987,7 +989,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
         _inertial_advance(nav, dt, drv, work)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving)
+        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, work, both, Q, gathered, moving)
         _inertial_noise(dt, drv, Cr, Q, moving)
         gathered = True
         # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
@@ -1022,7 +1024,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
         _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
     _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
     _inertial_advance(nav, dt, drv, work)
-    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, work, both, Q, gathered, moving)
+    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, False, work, both, Q, gathered, moving)
     _inertial_noise(dt, drv, Cr, Q, moving)
     _from_panels(both[: both.size - Q.size], flat(acc), m, moving)
     _from_panels(Q, flat(acc[m:]), m, moving)
