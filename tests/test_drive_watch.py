@@ -168,14 +168,18 @@ def test_the_kernel_and_its_twin(seed, increments):
         fault(samples[begin : begin + 100, 1:])
     samples[rng.integers(len(samples), size=20), 1 + rng.integers(6)] += rates(drive)
     ours, twins, limits = samples.copy(), samples.copy(), np.repeat([0.5, 90.0], 3)
+    alone, one_by_one = w.copy(), samples.copy()
     at, conditions = 0, set()
     while at < len(samples):
         args = sd, limits, drive.period_s, increments
         n = kernel.look(ours[at:], w, *args)
         assert n == naive.look(twins[at:], twin, *args)
+        for k in range(at, at + n):  # all axes at once, or one after the other, is the same to the bit
+            assert kernel.look(one_by_one[k : k + 1], alone, *args) == 1
+        np.testing.assert_array_equal(w, alone)
         at += n
         assert_close(w[np.isfinite(w)][None], twin[np.isfinite(twin)][None], 1e-12)
-        for a in (w, twin):
+        for a in (w, twin, alone):
             a[kernel.UNIT, kernel.TICK] *= a[kernel.UNIT, kernel.TICK] * drive.period_s < kernel.JUDGED_S
         conditions |= set(w[:6, kernel.CODE].tolist())
     np.testing.assert_allclose(ours, twins, rtol=0, atol=1e-12)

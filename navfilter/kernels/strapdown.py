@@ -384,13 +384,13 @@ def _carried(x, e, f, C, half):
     y6 = x[6] + td * x[7] - te * x[8] + f[7] * x[4] + f[10] * x[0] + f[12] * x[2]
     y7 = x[7] - td * x[6] + tn * x[8] + f[8] * x[3] + f[13] * x[2]
     y8 = x[8] + te * x[6] - tn * x[7] + f[9] * x[4] + f[11] * x[0] + f[14] * x[2]
-    if e:
+    if len(e):
         y6, y7, y8 = (y - (C[i] * e[0] + C[i + 1] * e[1] + C[i + 2] * e[2]) for i, y in ((0, y6), (3, y7), (6, y8)))
     a, b, c = 0.5 * (y6 + x[6]), 0.5 * (y7 + x[7]), 0.5 * (y8 + x[8])
     y3 = f[15] * x[3] + f[16] * x[4] + f[17] * x[5] + f[23] * x[0] + f[26] * x[2] + (b * pd - c * pe)
     y4 = f[18] * x[3] + f[19] * x[4] + f[20] * x[5] + f[24] * x[0] + f[27] * x[2] + (c * pn - a * pd)
     y5 = f[21] * x[3] + f[22] * x[4] + x[5] + f[25] * x[0] + f[28] * x[2] + (a * pe - b * pn)
-    if e:
+    if len(e):
         y3, y4, y5 = (y - (C[i] * e[3] + C[i + 1] * e[4] + C[i + 2] * e[5]) for i, y in ((0, y3), (3, y4), (6, y5)))
     y0 = f[29] * x[0] + f[30] * x[2] + half * (y3 + x[3])
     y1 = f[31] * x[0] + f[32] * x[1] + f[33] * x[2] + half * (y4 + x[4])
@@ -469,7 +469,7 @@ def _build_carry(context, builder, kinds, arguments):
         return _Row.of(builder, builder.load(builder.gep(data, [cgutils.ir.Constant(index, i)])))
 
     f, x, errors, turn = [number(f, i) for i in range(34)], [at(Z, i) for i in range(9)], [], []
-    if e:
+    if len(e):
         by = _Row.of(builder, e[1])
         errors, turn = [by * at(e[0], i) for i in range(6)], [number(C, i) for i in range(9)]
     for i, y in enumerate(_carried(x, errors, f, turn, 0.5 * f[0])):
