@@ -377,6 +377,24 @@ def _copy(of, to):
     put(to, last, eight(of, last))
 
 
+@apart
+@njit(cache=True, **UNCOUNTED)
+def _across(T, M, rows, begin):
+    """The columns from `begin` on of so many leading rows of T, eight at least, into M, and across its diagonal."""
+    n = M.shape[0]
+    if n - begin < WIDE:
+        for i in range(rows):
+            for j in range(begin, n):
+                M[i, j] = T[i, j]
+                M[j, i] = T[i, j]
+        return
+    for i in range(rows):
+        _copy(T[i][begin:], M[i][begin:])
+    for j in range(begin, n, WIDE):
+        for i in range(0, rows, WIDE):
+            _mirror(M, min(i, rows - WIDE), min(j, n - WIDE))
+
+
 @njit(cache=True, **UNCOUNTED)
 def _moving(acc):
     """How many of the leading states a compound transition moves: those behind them are constants, which it leaves as
@@ -426,18 +444,12 @@ def fold(P, acc, nav, T):
                 s += T[j, r] * acc[i, r]
             P[i, j] = s
             P[j, i] = s
-    for i in range(moving):
-        if i < 9 or ends[i] - begins[i] != 1.0 or acc[i, i] != 1.0:
-            if n - moving >= WIDE:
-                _copy(T[i][moving:], P[i][moving:])
-            for j in range(moving, n if i >= 9 or n - moving < WIDE else moving):
+    for i in range(9, moving):
+        if ends[i] - begins[i] != 1.0 or acc[i, i] != 1.0:
+            for j in range(moving, n):
                 P[i, j] = T[i, j]
                 P[j, i] = T[i, j]
-    if n - moving >= WIDE:
-        for j in range(moving, n, WIDE):
-            column = min(j, n - WIDE)
-            _mirror(P, int(0), column)
-            _mirror(P, int(1), column)
+    _across(T, P, int(9), moving)
     whole = flat(acc)
     for part in (whole[: moving * m], whole[m * m : (m + moving) * m]):
         for i in range(part.size):
@@ -1037,21 +1049,20 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
                 f += Sinv[c, r] * res[r]
             T[a + c, a] = f
         for c in range(a):
+            own = T[2 * a + c]
             for r in range(a):
                 s = Sinv[c, r]
                 for i in range(n):
-                    s += K[i, c] * T[r, i]
-                T[a + c, r] = 0.5 * s
+                    s += own[i] * T[r, i]
+                T[a + c, r] = s
         for c in range(a):
             f = T[a + c, a]
             for i in range(n):
                 lam[i] -= H[c, i] * f
+        W = T[2 * a : 3 * a]
         for c in range(a):
-            for r in range(a):
-                f = T[a + c, r]
-                for i in range(n):
-                    T[c, i] -= f * H[r, i]
-        _less_twice(L, H, T[:a])
+            _less_half(T[c], T[a + c][:a], H, W[c])
+        _less_twice(L, H, W)
     if b > 0:
         _transition_transposed(L, lam, shaped(record[m * m : m * m + b * b], b, b), start, b, T)
     if m > 0:
@@ -1162,15 +1173,11 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         lam[i] = B[0, i]
     for i in range(m):
-        for j in range(m, n):
-            L[i, j] = T[i, j]
         for j in range(i + 1):
             s = 0.5 * (A[i, j] + A[j, i])
             L[i, j] = s
             L[j, i] = s
-    for j in range(m, n):
-        for i in range(m):
-            L[j, i] = T[i, j]
+    _across(T, L, m, m)
 
 
 @apart
