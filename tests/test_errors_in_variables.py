@@ -316,3 +316,22 @@ def test_noise_of_the_gyros_tells_no_mounting_beside_a_lever_arm():
     # chi-square of six with some three independent errors each: below 1.9 in 99 %
     assert np.all(np.mean(square, axis=0) < 1.9), square
     assert np.abs(off).max() < 4.0, off
+
+
+@pytest.mark.parametrize("kind", [nf.BodyVelocity, nf.DvlBeams])
+def test_noise_across_an_arm_is_turned_by_a_mounting_that_nobody_knows(kind):
+    """Against drawn rotations, of three sd: along the arm there is only what they turn there."""
+    sd_rad, rate = np.array([0.01, 0.02, 0.005]), np.array([0.01, 0.02, 0.015])
+    sensor = kind(lever_arm_b_m=(1.0, -1.5, 0.5), misalignment_sd_rad=tuple(sd_rad), mounting_rad=(0.1, 0.2, 0.7))
+    found = sensor.lever_arm_covariance(rate**2)
+    rng, mounting = np.random.default_rng(5), nf.BodyVelocity.instrument_axes(sensor)
+    noise = np.cross(rate * rng.normal(size=(200_000, 3)), sensor.lever_arm_b_m) @ mounting.T
+    noise += np.cross(3.0 * sd_rad * rng.normal(size=noise.shape), noise)
+    drawn, beams = noise.T @ noise / len(noise), sensor.instrument_axes() @ mounting.T
+    back = np.linalg.pinv(beams)
+    whiten = np.linalg.inv(np.linalg.cholesky(back @ found @ back.T))
+    # 200000 draws tell a variance to 0.3 %
+    np.testing.assert_allclose(whiten @ drawn @ whiten.T, np.eye(3), atol=0.02)
+    np.testing.assert_allclose(beams @ back @ found, found, atol=1e-12)
+    exact = kind(lever_arm_b_m=(1.0, -1.5, 0.5), mounting_rad=(0.1, 0.2, 0.7)).lever_arm_covariance(rate**2)
+    assert np.linalg.eigvalsh(exact)[:-2] == pytest.approx(0.0, abs=1e-9)
