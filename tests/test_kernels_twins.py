@@ -413,7 +413,7 @@ def test_a_vertical_field_has_no_azimuth():
     assert math.isnan(res[0]) or abs(res[0]) <= math.pi
 
 
-@pytest.mark.parametrize("kind", ["dense", "blocks", "constants", "none"])
+@pytest.mark.parametrize("kind", ["dense", "blocks", "constants", "none", "moving average"])
 def test_fold(kind):
     rng = np.random.default_rng(1)
     n, m = 17, 9 if kind == "none" else 12
@@ -424,6 +424,8 @@ def test_fold(kind):
         acc[9:m, :9], acc[11:m] = 0.0, np.eye(m)[11:]
     if kind == "constants":
         acc[9:m] = np.diag([1.0] * 9 + [0.5, 1.0, 1.0][: m - 9])[9:]
+    if kind == "moving average":
+        acc[11] = 0.0  # of its last state noise is all there is
     P = spd(rng, n)
     present, twin = run_both(kalman.present, P, acc, nav, False, 0.0, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
     assert_close(present[6:], twin[6:], 1e-14)

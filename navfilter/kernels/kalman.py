@@ -322,7 +322,9 @@ def discount_heading(P, acc, nav, own, work):
 
 @njit(cache=True, **UNCOUNTED)
 def _reach(row, i):
-    """From where to where a row of a transition is not zero; that of a state by itself alone is found at once."""
+    """From where to where a row of a transition is not zero; that of a state by itself alone is found at once, that of
+    white noise alone (the last state of a moving average) is its own, though zero.
+    """
     alone, last = row[i] != 0.0, row.size - WIDE
     for part in range(0, row.size, WIDE):
         begin = min(part, last)
@@ -333,7 +335,7 @@ def _reach(row, i):
     for r in range(row.size):
         if row[r] != 0.0:
             first, last = min(first, r), r + 1
-    return first, last
+    return (first, last) if last else (i, i + 1)
 
 
 @apart
