@@ -89,7 +89,9 @@ class Beginning:
                 self._worker.later(partial(self._follow, learning.again))
             return
         twin, self.twin = self.twin, None
-        if twin is None or twin.again != learning.again or twin.process != os.getpid():
+        # while a late reading is put in its place the twin is ahead: it has had what came since
+        here = twin is not None and not self._goes_back and twin.again == learning.again
+        if twin is None or not here or twin.process != os.getpid():
             # in place: what runs over this filter goes on with it
             tried = Twin(nav, learning.again, Worker(threads=False)) if learning.compares else None
             if tried is None or not learning.is_no_better(tried.arrived().learning):

@@ -1724,9 +1724,9 @@ def sight(
 ):
     arm, clock, turns, _, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
-    inner, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res))
+    inner, base, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res)), np.zeros(len(res))
 
-    def ask(nav, rate, moved, res):
+    def ask(nav, rate, moved, res, z=np.nan_to_num(z)):
         place = cfg + by_arm @ (par[own : own + 3] + moved) if arm else cfg
         at(equation)(z, nav, rate, par[:own], place, inner, res)
 
@@ -1737,14 +1737,14 @@ def sight(
     rows, g = np.zeros((len(recent) + 1, 7)), np.zeros(1)
     at(motion)(recent, nav, drv, errors, rows, g)
     if not clock:
-        ask(nav, rate, np.zeros(3), res)
+        ask(nav, rate, np.zeros(3), res, z)
         near[:, : 9 + own], then = inner, nav
     else:
         late_s = since_s + par[-1]
         then, turn, slope, B = np.zeros(17), np.zeros(6), np.zeros((2, 9)), np.zeros((9, 9))
         over_s = earlier(nav, rows, g[0], late_s, 0.2, slope_s(variance), then, turn, slope, B)
         rate = turn[:3]
-        ask(then, rate, np.zeros(3), res)
+        ask(then, rate, np.zeros(3), res, z)
         near[:, : 9 + own] = inner
         near[:, :9], near[:, -1] = inner[:, :9] @ B, -inner[:, :9] @ slope[0]
         middle = 0.5 * (nav[6:15] + then[6:15]).reshape(3, 3)
@@ -1755,7 +1755,7 @@ def sight(
         if g[0]:
             H[:, 9 : 9 + len(xd)] = inner[:, :9] @ by
     if arm:
-        told, base = rate.copy(), np.zeros(len(res))
+        told = rate.copy()
         if not clock:
             lately(rows, told)
         steady = then.copy()
@@ -1767,8 +1767,9 @@ def sight(
             ask(steady, told, 1e-3 * np.eye(3)[j], ends)
             near[:, 9 + own + j] = (base - ends) / 1e-3
     if clock and turns:
+        ask(then, rate, np.zeros(3), base)
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
-        near[:, -1] -= (res - ends) / 1e-3
+        near[:, -1] -= (base - ends) / 1e-3
     if clock:
         discount(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, near, R)
 

@@ -8,6 +8,7 @@ import same_runs
 from feeding import Event, delayed, events_of, one_by_one
 
 import navfilter as nf
+from navfilter.beginning import Twin
 from navfilter.filter.memory import differences
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.scenarios import simulate_scenario
@@ -54,6 +55,35 @@ def test_learning_is_the_same_whatever_comes_late(history_s, share, monkeypatch)
     assert one.counts["adopted"] >= 5
     assert one.filter.memory.models == two.filter.memory.models
     assert differences(two.filter.memory, one.filter.memory, 1e-9) == []
+
+
+def test_a_twin_takes_no_place_while_a_late_reading_is_put_in_its_own(monkeypatch):
+    """From when there is a twin on, all readings come in batches of 0.7 s, behind their samples: the first one behind
+    the time at which it is awaited is late, and the twin has had the samples since.
+    """
+    monkeypatch.setattr(LearningSchedule, "EARLY_S", (30.0, 60.0, 120.0))
+    vehicle, mission = simulate_scenario("lawnmower", 3, 150.0)
+    prior = nf.GaussMarkov(sd=0.2, tau_s=20.0) + nf.White(sd=0.1)  # nothing like it: the beginning is done again
+    vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=prior, window=400, hop=200))
+    events, made_s = events_of(vehicle, mission), []
+
+    def noted(twin, nav, *args, init=Twin.__init__):
+        made_s.append(nav.time_s)
+        init(twin, nav, *args)
+
+    monkeypatch.setattr(Twin, "__init__", noted)
+    navs = [nf.Navigator(vehicle, mission.start, threads=threads) for threads in (True, True, False)]
+    one_by_one(navs[0], events)
+    since_s = made_s[0]
+    batches = [
+        e if e.sensor == "drive" or e.time_s <= since_s else e._replace(arrival_s=0.7 * (e.time_s // 0.7 + 1.0))
+        for e in events
+    ]
+    batches.sort(key=lambda e: e.arrival_s)
+    for nav in navs[1:]:
+        assert "too-late" not in [outcome.status for outcome in one_by_one(nav, batches)]
+    assert made_s.count(since_s) > 1
+    assert differences(navs[1].filter.memory, navs[2].filter.memory) == []
 
 
 def test_beyond_the_history_a_reading_is_too_late(dive):

@@ -253,3 +253,8 @@ def test_values_that_are_missing_for_half_a_minute_are_the_same_live_and_replaye
     rows = zip(track.time_s.tolist(), zip(track.latitude, track.longitude, track.height, strict=True), strict=True)
     late = {time_s: place for time_s, place in rows if time_s > 45.0}  # a beginning that is done again stands before
     assert len(late) > 100 * 100 and all(poses[time_s] == place for time_s, place in late.items() if time_s in poses)
+    # in blocks from reading to reading
+    seldom = nf.replay(vehicle, mission, output_rate_hz=1.0)
+    assert [poses[t] for t in seldom.time_s[50:].tolist()] == list(
+        zip(seldom.latitude[50:], seldom.longitude[50:], seldom.height[50:], strict=True)
+    )

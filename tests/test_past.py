@@ -110,6 +110,26 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, in
     assert np.all(np.diag(R) >= 1.0) and (R[0, 0] > 1.0) == bool(clock)
 
 
+@pytest.mark.parametrize("kind", ["velocity", "water", "beams"])
+@pytest.mark.parametrize("clock", [0.0, 0.4])
+def test_a_component_that_is_missing_has_the_slopes_of_one_that_is_read(kind, clock):
+    rng = np.random.default_rng(6)
+    sensor, _, head = looked(KINDS[kind][0], clock)
+    drv, recent, Cr, xd = steady(rng)
+    recent[:, 1:] += 0.1 * rng.normal(size=(300, 6))
+    nav, par, a = random_nav(rng), 0.05 * rng.normal(size=len(sensor.all_parameters())), sensor.axes
+    found = []
+    for missing in ((), (0,)):
+        z, near, res = np.array(KINDS[kind][1]), np.zeros((a, 9 + len(par))), np.zeros(a)
+        z[list(missing)] = np.nan
+        here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START), recent, drv, Cr, xd, 0.05, 0.01
+        past.sight(*head, *here, np.zeros((3, 3)), np.zeros((a, 9 + len(xd))), near, res, np.eye(a))
+        found.append((near, res))
+    (near, res), (less, left) = found
+    np.testing.assert_allclose(less, near, atol=1e-9)
+    assert np.isfinite(res).all() and np.flatnonzero(np.isnan(left)).tolist() == [0]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("clock", [0.0, 0.4])
 def test_jacobians_of_sight_equal_finite_differences(kind, clock):

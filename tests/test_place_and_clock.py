@@ -180,6 +180,21 @@ def test_jacobians_of_every_kind_equal_finite_differences(kind, clock):
         np.testing.assert_allclose(near[:, j], -(ends[0] - ends[1]) / (2.0 * step), rtol=2e-5, atol=2e-5)
 
 
+@pytest.mark.parametrize("component", [0, 2])
+@pytest.mark.parametrize("own", [{"time_offset_sd_s": 0.05}, {"lever_arm_sd_m": (0.1, 0.1, 0.1)}])
+def test_a_velocity_without_a_component_is_used(own, component):
+    dvl = nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.01), lever_arm_b_m=(0.5, 0.2, 0.3), **own)
+    vehicle = nf.Vehicle(nf.Imu(rate_hz=50.0), {"compass": nf.Heading(rate_hz=4.0), "dvl": dvl, "depth": nf.Depth()})
+    motion = Motion((Straight(10.0), Turn(90.0, 3.0), Straight(20.0)), speed_m_s=1.5, latitude_deg=50.0)
+    mission = simulate(vehicle, motion, seed=2)
+    stream = mission.streams["dvl"]
+    value = stream.value.copy()
+    value[40:, component] = np.nan
+    track = nf.replay(vehicle, replace(mission, streams=mission.streams | {"dvl": replace(stream, value=value)}))
+    residuals = track.residuals["dvl"]
+    assert residuals.count("used") > 0.9 * len(value) and not residuals.count("invalid")
+
+
 def test_a_rotating_arm_feels_the_angular_acceleration():
     """A reading half a second late, of an instrument on a long arm of a vehicle that begins to turn."""
     sensor = nf.BodyVelocity(lever_arm_b_m=(10.0, 0.0, 0.0), time_offset_sd_s=0.3)

@@ -104,9 +104,11 @@ class DriveWatch:
             Is told of the axes whose condition changes.
         """
         w, unit = memory.watch, memory.watch[kernel.UNIT]
-        self.refer(w, memory.nav, memory.P)
-        for name, axis in zip(self.axes, w[: kernel.UNIT], strict=True):
-            if axis[kernel.CODE] not in (kernel.SILENT, kernel.CONTRADICTED):
+        heard = [axis[kernel.CODE] not in (kernel.SILENT, kernel.CONTRADICTED) for axis in w[: kernel.UNIT]]
+        if any(heard) or not memory.unfolded:  # a block, which ends at a fold, is no other than one after the other
+            self.refer(w, memory.nav, memory.P)
+        for name, axis, spoke in zip(self.axes, w[: kernel.UNIT], heard, strict=True):
+            if spoke:
                 memory.counts["silent"] += 1
                 axis[kernel.CODE] = axis[kernel.HEEDED] = kernel.SILENT
                 if tape is not None:

@@ -244,7 +244,7 @@ class Filter(Estimate):
                 self._row()
             self.feel(tell)
             if room is not None:
-                tell(Passed(block[:1] if missing else block))
+                tell(Passed(np.full(block.shape, np.nan) if missing else block))
             if self.watch.news(memory.watch):
                 self.heed(tell)
             begin = end

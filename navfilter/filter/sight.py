@@ -106,23 +106,25 @@ class Sight:
             near[:, -1] = -(inner[:, :9] @ self._slope[0])
             if moved[1]:
                 H[:] = inner[:, :9] @ by_drive(now, nav, self._B, late_s, outputs)
-        ends = self._ends
+        # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
+        whole, base, ends = np.where(np.isnan(z), 0.0, z), np.empty_like(res), self._ends
         if self.arm:
-            told, base = self._turn[:3].copy(), np.empty_like(res)
+            told = self._turn[:3].copy()
             if not self.clock:
                 past.lately(moved[0], told)
             steady, drv = nav.copy(), drive[0]
             if not drv[strapdown.INERTIAL]:
                 # the attitude is a reading: what it errs by is in the position, too, see ``strapdown._steady``
                 steady[6:15] = drv[strapdown.STEADY_C : strapdown.STEADY_C + 9]
-            self.kernel(z, steady, told, kind, constants, inner, base)
+            self.kernel(whole, steady, told, kind, constants, inner, base)
             near[:, 9 : 9 + own] = inner[:, 9:]
             for i in range(3):
-                self.kernel(z, steady, told, kind, constants + self._steps[i], inner, ends)
+                self.kernel(whole, steady, told, kind, constants + self._steps[i], inner, ends)
                 near[:, 9 + own + i] = (base - ends) / STEP
         if self.clock and self._turns:
-            self.kernel(z, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
-            near[:, -1] -= (res - ends) / STEP
+            self.kernel(whole, nav, rate, kind, constants, inner, base)
+            self.kernel(whole, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
+            near[:, -1] -= (base - ends) / STEP
         if self.clock:
             past.discount(inner, self._slope, self._then, *drive, over_s, moved[1], *variances, near, R)
 

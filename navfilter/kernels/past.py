@@ -409,8 +409,11 @@ def _sight(sources):
         steady, work = work[132:149], work[ROOM:]
         constants, moved, work = work[: len(cfg)], work[len(cfg) : 2 * len(cfg)], work[2 * len(cfg) :]
         outputs, work = shaped(work[: 6 * k], 6, k), work[6 * k :]
-        ends, base, work = work[:a], work[a : 2 * a], work[2 * a :]
+        ends, base, whole, work = work[:a], work[a : 2 * a], work[2 * a : 2 * a + z.size], work[2 * a + z.size :]
         inner, work = shaped(work[: a * (9 + own)], a, 9 + own), work[a * (9 + own) :]
+        for i in range(z.size):
+            # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
+            whole[i] = 0.0 if math.isnan(z[i]) else z[i]
         for i in range(len(cfg)):
             constants[i] = cfg[i]
             if arm:
@@ -454,7 +457,7 @@ def _sight(sources):
                     steady[j] = drv[strapdown.STEADY_C + j - 6] if 6 <= j < 15 else seen[j]
             else:
                 steady = seen
-            addresses.at_equation(equation, (z, steady, told, kind, constants, inner, base))
+            addresses.at_equation(equation, (whole, steady, told, kind, constants, inner, base))
             # what a mounting or a scale does with the arm's turning: the noise of the rate is in the residual, too
             for i in range(a):
                 for j in range(9, 9 + own):
@@ -462,15 +465,16 @@ def _sight(sources):
             for j in range(3):
                 for i in range(len(cfg)):
                     moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]
-                addresses.at_equation(equation, (z, steady, told, kind, moved, inner, ends))
+                addresses.at_equation(equation, (whole, steady, told, kind, moved, inner, ends))
                 for i in range(a):
                     near[i, 9 + own + j] = (base[i] - ends[i]) / STEP
         if clock and facts[TURNS] != 0.0:
+            addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, base))
             for i in range(3):
                 turn[i] += STEP * turn[3 + i]
-            addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, ends))
+            addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, ends))
             for i in range(a):
-                near[i, 9 + last] -= (res[i] - ends[i]) / STEP
+                near[i, 9 + last] -= (base[i] - ends[i]) / STEP
         if clock:
             discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, pushes, near, R)
 
@@ -496,7 +500,7 @@ def sight(sources):
         back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
         """
         _ = sources
-        sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + 2 * len(cfg) + 6 * len(xd)
+        sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + len(z) + 2 * len(cfg) + 6 * len(xd)
         work = np.empty(ROOM + sizes)
         given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes
         _sight(given, H, near, res, R, work)
