@@ -1725,8 +1725,9 @@ def sight(
     arm, clock, turns, _, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
     inner, base, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res)), np.zeros(len(res))
+    whole = np.nan_to_num(z)
 
-    def ask(nav, rate, moved, res, z=np.nan_to_num(z)):
+    def ask(nav, rate, moved, res, z=whole):
         place = cfg + by_arm @ (par[own : own + 3] + moved) if arm else cfg
         at(equation)(z, nav, rate, par[:own], place, inner, res)
 

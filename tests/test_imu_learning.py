@@ -315,6 +315,13 @@ def test_a_second_counts_between_two_others_at_rest():
     np.testing.assert_array_equal(y[409:], samples[800:1100, 2])
 
 
+def test_a_second_in_which_samples_are_missing_is_no_rest():
+    samples = at_rest(8.0)
+    samples[420, 1:] = np.nan
+    kept = kept_by(RestRecorder(vehicle_of().drive, 2.0), samples)
+    assert kept == [0, 0, 100, 100, 0, 0, 0, 100 + LONGEST_GAP + 1]
+
+
 @pytest.mark.parametrize("column", range(1, 7))
 def test_any_axis_that_moves_is_no_rest(column):
     samples = at_rest(6.0)
