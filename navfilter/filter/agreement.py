@@ -203,7 +203,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
     channel : Channel
         As its refused reading left it.
     carried : bool
-        Whether a velocity carries the height.
+        Whether more than accelerometers tells the height.
     """
     memory, kind = channel.memory, channel.sensor.open_loop
     refused = memory.refused
@@ -242,8 +242,8 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
     held : bool
         Whether another sensor tells the height, and agrees.
     carried : bool
-        Whether a velocity carries the height. Else a height that has gone away from its gauge went with a vertical
-        velocity that was off by as much as it has grown in that time.
+        Whether more than accelerometers tells the height. Else one that has gone away from its gauge went with a
+        vertical velocity that was off by as much as it has grown in that time.
     """
     V = np.zeros((9, 9))
     offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from navfilter.filter.adoption import Change
-from navfilter.filter.agreement import offset_places
+from navfilter.filter.agreement import SPAN_S, offset_places
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states, with_offsets
 from navfilter.filter.slack import are_carried
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["open_both", "undecided"]
+__all__ = ["are_told", "open_both", "undecided"]
 
 #: Of the height among the navigation states.
 DOWN = 2
@@ -37,8 +37,41 @@ CARRIED_M_S = 0.1
 GROWN = 2.0
 
 
+def are_told(filter: Filter, gauge: Channel, time_s: float) -> bool:
+    """Whether more than accelerometers says how the height changes at this time [s]: a velocity, or fixes or another
+    gauge that go on to be used.
+    """
+    return are_carried(filter, time_s) or bool(_others(filter, gauge, time_s))
+
+
+def _others(filter: Filter, gauge: Channel, time_s: float) -> list[Channel]:
+    """Fixes and other gauges that go on to tell the height; it is the last component of each."""
+    return [
+        other
+        for other in filter.channels.values()
+        if other is not gauge
+        and other.sensor.open_loop == listen.POSITION
+        and np.isfinite(other.note[2 + other.axes])
+        and time_s - other.memory.used_s < SPAN_S
+    ]
+
+
+def may_be_right(filter: Filter, gauge: Channel, time_s: float) -> bool:
+    """Whether a gauge that has left the state at once may have come back to the truth, from where it had led the state
+    astray: all that tell the height beside it fit where it is now, too.
+    """
+    others = _others(filter, gauge, time_s)
+    wrong = float(gauge.res[0] / gauge.near[0, DOWN])
+    squares = [
+        (other.note[2 + other.axes] - other.near[-1, DOWN] * wrong) ** 2 / other.note[2 + 2 * other.axes]
+        for other in others
+    ]
+    known = filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2
+    return bool(others) and known and max(squares) <= float(gauge.limits[1])
+
+
 def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
-    """Whether a sensor that is refused is a depth gauge that was right for long, and a velocity carries the height.
+    """Whether a sensor that is refused is a depth gauge that was right for long, and something else tells the height.
 
     Parameters
     ----------
@@ -59,7 +92,7 @@ def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
         whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
         if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
-    return channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S and are_carried(filter, time_s)
+    return channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S and are_told(filter, channel, time_s)
 
 
 def open_both(filter: Filter, channel: Channel, time_s: float) -> None:

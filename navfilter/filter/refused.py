@@ -34,7 +34,6 @@ from navfilter.filter.events import Event
 from navfilter.filter.integrity import FOLLOWED_S, IN_LINE
 from navfilter.filter.offsets import with_offsets
 from navfilter.filter.refusals import LEAST, Refusals
-from navfilter.filter.slack import are_carried
 from navfilter.kernels import listen
 from navfilter.state import NavState
 
@@ -152,7 +151,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         kept.refused = refused = replace(refused, back=back)
         if channel.aside and back < LEAST:
             return False
-    carried = are_carried(filter, time_s)
+    carried = heights.are_told(filter, channel, time_s)
     wrong = agreement.decided(channel, carried)
     if wrong == "sensor" or refused.back >= LEAST:
         _jumped(filter, channel, time_s)
@@ -287,7 +286,8 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     memory, kept = filter.memory, channel.memory
     refused = kept.refused
     assert refused is not None
-    if channel.offset and refused.back < LEAST and heights.undecided(filter, channel, time_s):
+    may_be = heights.undecided if channel.offset else heights.may_be_right
+    if agreement.is_gauge(channel) and refused.back < LEAST and may_be(filter, channel, time_s):
         heights.open_both(filter, channel, time_s)
         return
     kept.either = False
