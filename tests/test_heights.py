@@ -99,3 +99,35 @@ def test_a_gauge_whose_constant_turns_out_to_be_none_is_good_again():
     nav = nf.Navigator(vehicle, mission.start)
     list(once_a_second(nav, vehicle, mission.with_stream("dvl", dataclasses.replace(dvl, value=value))))
     assert nav.counts["jumped"] and nav.health.sensors["depth"].condition == "good"
+
+
+def boat(velocity, gps, drift, end_s):
+    """Errors of the height and their sd over the last 60 s of 400 s, with fixes throughout; the gauge drifts off from
+    100 s on [m/s] until it is itself again.
+    """
+    depth = nf.Depth(error=nf.GaussMarkov(sd=0.02, tau_s=20.0))
+    sensors = {"compass": nf.Heading(bias_sd_rad=0.01), **velocity, "depth": depth, "gps": gps}
+    vehicle = nf.Vehicle(nf.Imu(rate_hz=20.0), sensors)
+    always = {"gps": Faults(available="always")}
+    mission = simulate(vehicle, lawnmower(400.0), seed=6, duration_s=400.0, faults=always)
+    stream = mission.streams["depth"]
+    off = np.where(stream.time_s < end_s, drift * np.maximum(stream.time_s - 100.0, 0.0), 0.0)
+    mission = mission.with_stream("depth", nf.Stream(stream.time_s, stream.value + off[:, None], stream.columns))
+    track = nf.replay(vehicle, mission)
+    late = track.time_s > 340.0
+    return track.errors(mission.truth).position_n[late, 2], np.sqrt(track.covariance[late, 2, 2]), track
+
+
+def test_a_gauge_that_drifts_is_not_followed_away_from_fixes():
+    """Nothing but fixes carries the height: they were refused, place and all, for the gauge had been believed."""
+    down, sd, track = boat({}, nf.Position(rate_hz=5.0, error=nf.White(sd=0.4)), 0.05, math.inf)
+    assert np.mean((down / sd) ** 2) < 4.0 and sd.max() < 0.5
+    assert track.residuals["gps"].count("rejected") < 0.05 * len(track.residuals["gps"].time_s)
+
+
+def test_a_gauge_that_comes_back_from_a_drift_is_told_from_one_that_jumps_by_fixes():
+    """By 1 cm/s the DVL's slow error follows; the height was then taken for right, 1.2 m off at 0.04 m."""
+    dvl = nf.BodyVelocity(rate_hz=8.0, error=nf.GaussMarkov(sd=0.045, tau_s=3.0) + nf.White(sd=0.014))
+    gps = nf.Position(rate_hz=0.5, error=nf.GaussMarkov(sd=0.8, tau_s=6.0) + nf.White(sd=0.3))
+    down, sd, _ = boat({"dvl": dvl}, gps, 0.01, 220.0)
+    assert np.mean((down / sd) ** 2) < 4.0 and sd.max() < 0.5

@@ -7,6 +7,9 @@ the state to the gauge, with the sd that one more of its readings leaves, is to 
 are opened, by all that lies between them: the height, and a constant of the gauge. What follows tells them apart, fixes
 with a height above all; until then the sd is what is known, and the estimate lies between the two, which is never wrong
 by more than either of them could be.
+
+Nor has one that leaves at once always jumped: from a drift that velocity and height have followed a gauge comes back
+so. Fixes tell the two apart, where they are precise enough at once, else while both are open.
 """
 
 from __future__ import annotations
