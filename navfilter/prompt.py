@@ -85,7 +85,7 @@ class PromptSample:
     def take(self, samples: Array) -> bool:
         """Whether these are an ordinary sample (1, 7), and have been taken; else nothing has been done."""
         nav, history = self._nav, self._history
-        if len(samples) != 1:
+        if len(samples) != 1 or nav.filter.memory.quiet:  # the first behind some that were missing ends that
             self._as_of = -1
             return False
         if fresh := nav.changes != self._as_of:

@@ -258,3 +258,20 @@ def test_values_that_are_missing_for_half_a_minute_are_the_same_live_and_replaye
     assert [poses[t] for t in seldom.time_s[50:].tolist()] == list(
         zip(seldom.latitude[50:], seldom.longitude[50:], seldom.height[50:], strict=True)
     )
+
+
+def test_the_first_sample_behind_missing_ones_is_the_same_live_and_replayed():
+    """What the vehicle may have done meanwhile bounds the covariance there, not at the next reading."""
+    sensors = {"water": nf.WaterVelocity(rate_hz=0.2), "gps": nf.Position(rate_hz=0.05, error=nf.White(sd=1.0))}
+    vehicle = nf.Vehicle(tactical_imu(), sensors)
+    mission = simulate(vehicle, lawnmower(120.0), seed=4, duration_s=120.0, faults={"gps": Faults(available="always")})
+    unit = mission.streams["imu"]
+    value = unit.value.copy()
+    value[(unit.time_s > 71.0) & (unit.time_s < 98.5), :3] = np.nan
+    mission = replace(mission, streams=mission.streams | {"imu": replace(unit, value=value)})
+    for until_s in (99.0, 120.0):
+        part = replace(mission, streams={n: s.keep(s.time_s <= until_s) for n, s in mission.streams.items()})
+        nav = nf.Navigator(vehicle, mission.start, threads=False)
+        one_by_one(nav, events_of(vehicle, part))
+        track = nf.replay(vehicle, part, output_rate_hz=None)
+        np.testing.assert_array_equal(track.covariance[-1], nav.state.covariance[:9, :9])
