@@ -411,8 +411,10 @@ def _sight(sources):
         outputs, work = shaped(work[: 6 * k], 6, k), work[6 * k :]
         ends, base, whole, work = work[:a], work[a : 2 * a], work[2 * a : 2 * a + z.size], work[2 * a + z.size :]
         inner, work = shaped(work[: a * (9 + own)], a, 9 + own), work[a * (9 + own) :]
+        missing = False
         for i in range(z.size):
             # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
+            missing |= math.isnan(z[i])
             whole[i] = 0.0 if math.isnan(z[i]) else z[i]
         for i in range(len(cfg)):
             constants[i] = cfg[i]
@@ -469,7 +471,10 @@ def _sight(sources):
                 for i in range(a):
                     near[i, 9 + own + j] = (base[i] - ends[i]) / STEP
         if clock and facts[TURNS] != 0.0:
-            addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, base))
+            for i in range(a):
+                base[i] = res[i]
+            if missing:
+                addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, base))
             for i in range(3):
                 turn[i] += STEP * turn[3 + i]
             addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, ends))

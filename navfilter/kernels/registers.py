@@ -124,45 +124,29 @@ def compiled(function, result, *kinds):
     return lower_builtin(function, *kinds)
 
 
-def _place(context, builder, kinds, arguments):
-    """Pointer to eight numbers: row `arguments[1]` of an array."""
-    array = context.make_array(kinds[0])(context, builder, value=arguments[0])
-    row = context.cast(builder, arguments[1], kinds[1], types.intp)
-    first = builder.gep(array.data, [builder.mul(row, _ir.Constant(row.type, LANES))])
-    return builder.bitcast(first, VECTOR.as_pointer())
+def _compile_memory(read, write, step):
+    """From an array, and to one: eight numbers from `step` times the number given on."""
+
+    def place(context, builder, kinds, arguments):
+        array = context.make_array(kinds[0])(context, builder, value=arguments[0])
+        first = context.cast(builder, arguments[1], kinds[1], types.intp)
+        first = builder.mul(first, _ir.Constant(first.type, step))
+        return builder.bitcast(builder.gep(array.data, [first]), VECTOR.as_pointer())
+
+    @compiled(read, lanes, types.Array, types.Integer)
+    def build_read(context, builder, kinds, arguments):
+        value = builder.load(place(context, builder, kinds.args, arguments))
+        value.align = 8
+        return value
+
+    @compiled(write, types.void, types.Array, types.Integer, lanes)
+    def build_write(context, builder, kinds, arguments):
+        builder.store(arguments[2], place(context, builder, kinds.args, arguments), align=8)
+        return context.get_dummy_value()
 
 
-@compiled(load, lanes, types.Array, types.Integer)
-def _build_load(context, builder, kinds, arguments):
-    value = builder.load(_place(context, builder, kinds.args, arguments))
-    value.align = 8
-    return value
-
-
-@compiled(store, types.void, types.Array, types.Integer, lanes)
-def _build_store(context, builder, kinds, arguments):
-    builder.store(arguments[2], _place(context, builder, kinds.args, arguments), align=8)
-    return context.get_dummy_value()
-
-
-def _from(context, builder, kinds, arguments):
-    """Pointer to eight numbers: from element `arguments[1]` of an array on."""
-    array = context.make_array(kinds[0])(context, builder, value=arguments[0])
-    first = context.cast(builder, arguments[1], kinds[1], types.intp)
-    return builder.bitcast(builder.gep(array.data, [first]), VECTOR.as_pointer())
-
-
-@compiled(eight, lanes, types.Array, types.Integer)
-def _build_eight(context, builder, kinds, arguments):
-    value = builder.load(_from(context, builder, kinds.args, arguments))
-    value.align = 8
-    return value
-
-
-@compiled(put, types.void, types.Array, types.Integer, lanes)
-def _build_put(context, builder, kinds, arguments):
-    builder.store(arguments[2], _from(context, builder, kinds.args, arguments), align=8)
-    return context.get_dummy_value()
+_compile_memory(load, store, LANES)
+_compile_memory(eight, put, 1)
 
 
 @compiled(all_of, lanes, types.Float)
