@@ -1733,8 +1733,6 @@ def sight(
 
     outputs, errors = np.zeros((6, len(xd))), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, errors)
-    past_s = since_s + (abs(par[-1]) + 0.5 * slope_s(variance) if clock else 0.2)
-    recent = recent[: max(2, math.ceil(past_s / drv[36]) + 3)]
     rows, g = np.zeros((len(recent) + 1, 7)), np.zeros(1)
     at(motion)(recent, nav, drv, errors, rows, g)
     if not clock:

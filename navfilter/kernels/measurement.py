@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.decorators import apart, njit, shaped
-from navfilter.kernels.registers import all_of, load, store
+from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.registers import all_of, eight, load, store, times
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -848,39 +848,49 @@ def _stepped_back(X, motion, gravity, span):
     return span
 
 
-@njit(cache=True, **UNCOUNTED)
-def _mean_motion(motion, begin, end, mean):
-    """Mean of rates and forces (6,) between two ages; where nothing is known of then, the oldest that is."""
-    known, age, last, k = 0.0, 0.0, -1, 0
-    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    while k < motion.shape[0] and age < end:
-        if motion[k, 0] > 0.0:
-            inside = min(age + motion[k, 0], end) - max(age, begin)
-            if inside > 0.0:
-                known += inside
-                a, b, c = a + inside * motion[k, 1], b + inside * motion[k, 2], c + inside * motion[k, 3]
-                d, e, f = d + inside * motion[k, 4], e + inside * motion[k, 5], f + inside * motion[k, 6]
-            age += motion[k, 0]
-            last = k
-        k += 1
-    mean[0], mean[1], mean[2], mean[3], mean[4], mean[5] = a, b, c, d, e, f
-    for i in range(6):
-        if known > 0.0:
-            mean[i] /= known
-        elif last >= 0:
-            mean[i] = motion[last, 1 + i]
+@njit(cache=True, inline="always")
+def _within(begin, end, age, seconds):
+    """How much of an interval that begins at an age lies between two others."""
+    return max(0.0, min(age + seconds, end) - max(age, begin))
 
 
 @njit(cache=True, **UNCOUNTED)
 def _motion_about(motion, late_s, window_s, mean, growth):
-    """Mean of rates and forces (6,) over a window about an age, which ends now at the latest, and how fast they grow.
-    Returns the age of its middle.
+    """Mean of rates and forces (6,) over a window about an age, which ends now at the latest, and how fast they grow;
+    where nothing is known of then, the oldest that is. Returns the age of its middle.
     """
-    half = 0.5 * window_s
+    half, room, whole = 0.5 * window_s, scratch(np.float64, int(2), int(8)), flat(motion)
     centre = max(late_s, half)
-    _mean_motion(motion, centre, centre + half, growth)
-    _mean_motion(motion, centre - half, centre, mean)
+    # of the half before the middle, and of that behind it; eight numbers: see `past.inertial_motion`
+    known, old, age, last, oldest = 0.0, 0.0, 0.0, -1, -1
+    total, totals = all_of(0.0), all_of(0.0)
+    for k in range(motion.shape[0]):
+        if age >= centre + half:
+            break
+        if motion[k, 0] <= 0.0:
+            continue
+        inside = _within(centre - half, centre, age, motion[k, 0])
+        beyond = _within(centre, centre + half, age, motion[k, 0])
+        if age < centre:
+            last = k
+        oldest = k
+        age += motion[k, 0]
+        if inside == 0.0 and beyond == 0.0:
+            continue
+        if k == 0:
+            for j in range(7):
+                room[0, 1 + j] = motion[0, j]
+            room[0, 0] = 0.0
+        values = eight(whole, 7 * k - 1) if k > 0 else load(room, 0)
+        if inside > 0.0:
+            known, total = known + inside, total + times(all_of(inside), values)
+        if beyond > 0.0:
+            old, totals = old + beyond, totals + times(all_of(beyond), values)
+    store(room, 0, total)
+    store(room, 1, totals)
     for i in range(6):
+        mean[i] = room[0, 2 + i] / known if known > 0.0 else motion[last, 1 + i] if last >= 0 else 0.0
+        growth[i] = room[1, 2 + i] / old if old > 0.0 else motion[oldest, 1 + i] if oldest >= 0 else 0.0
         step = mean[i] - growth[i]
         mean[i] -= 0.5 * step
         growth[i] = step / half
@@ -921,7 +931,8 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
     then[15], then[16] = nav[15] + by[2], nav[16] + by[2]
     over_s = min(slope_s, max(2.0 * late_s, window_s))
-    centre = _motion_about(motion, late_s, over_s, mean, growth)
+    if over_s != window_s:  # else it has been found already
+        centre = _motion_about(motion, late_s, over_s, mean, growth)
     for i in range(3):
         then[3 + i], slope[0, i], turn[3 + i] = v[i], v[i], growth[i]
         mean[i] += (centre - late_s) * growth[i]
@@ -947,7 +958,7 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
 
 
 @apart
-@njit(cache=True, **COUNTED)
+@njit(cache=True, **UNCOUNTED)
 def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
     """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
 
@@ -961,4 +972,5 @@ def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, 
     and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
     means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
     """
-    return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, np.empty(104))
+    work = flat(scratch(np.float64, int(1), int(104)))
+    return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work)

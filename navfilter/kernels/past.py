@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
-from navfilter.kernels.decorators import apart, njit, shaped
+from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.registers import LANES, all_of, eight, load, put, store, times
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -73,6 +74,22 @@ def drive_outputs(sources):
 
 
 @_keyed
+def _without_errors(sources):
+    @njit(cache=True, inline="always")
+    def _without_errors(felt, last, errors, work):
+        """An interval of `inertial_motion` without errors: those of the last sample, and by how much this one errs
+        otherwise, as the unit is not calibrated. work: an interval, then six columns of M.
+        """
+        _ = sources
+        store(work, 0, felt - last)
+        for j in range(6):
+            errors = errors + times(load(work, 1 + j), all_of(work[0, 2 + j]))
+        return felt - errors
+
+    return _without_errors
+
+
+@_keyed
 def inertial_motion(sources):
     @njit(cache=True, **UNCOUNTED)
     def inertial_motion(recent, nav, drv, errors, rows, gravity):
@@ -85,29 +102,32 @@ def inertial_motion(sources):
         _ = sources
         k, steps = recent.shape[0], drv[strapdown.INCREMENTS] != 0.0
         per = drv[strapdown.PERIOD_S] if steps else 1.0
+        # eight numbers: the last of the interval before, seconds, rates and forces
+        work, of, to = scratch(np.float64, int(10), LANES), flat(recent), flat(rows)
+        for i in range(10):
+            store(work, i, all_of(0.0))
+        for c in (0, 3):
+            for i in range(3):
+                for j in range(3):
+                    work[1 + c + j, 2 + c + i] = drv[strapdown.CALIBRATION + 3 * (c + i) + j]
+        for j in range(6):
+            work[7, 2 + j], work[8, 2 + j] = drv[strapdown.PREVIOUS + j] / per, errors[j]
+        last, wrong = load(work, 7), load(work, 8)
+        for i in range(k - 1, -1, -1):
+            if i == 0:
+                for j in range(7):
+                    work[9, 1 + j] = recent[0, j]
+            felt = eight(of, 7 * i - 1) if i > 0 else load(work, 9)
+            if steps:
+                felt = felt / all_of(recent[i, 0] if recent[i, 0] > 0.0 else 1.0)
+            elif i + 1 < k and recent[i + 1, 0] > 0.0:
+                felt = all_of(0.5) * (felt + eight(of, 7 * i + 6))
+            put(to, 7 * i + 6, _without_errors(felt, last, wrong, work))
+            rows[1 + i, 0] = recent[i, 0]
+        store(work, 9, _without_errors(last, last, wrong, work))
         rows[0, 0] = drv[strapdown.HELD_S]
         for j in range(6):
-            rows[0, 1 + j] = drv[strapdown.PREVIOUS + j] / per
-        for i in range(k):
-            rows[1 + i, 0] = recent[i, 0]
-            if not steps and i + 1 < k and recent[i + 1, 0] > 0.0:
-                for j in range(1, 7):
-                    rows[1 + i, j] = 0.5 * (recent[i, j] + recent[i + 1, j])
-            else:
-                per = recent[i, 0] if steps and recent[i, 0] > 0.0 else 1.0
-                for j in range(1, 7):
-                    rows[1 + i, j] = recent[i, j] / per
-        for c in (0, 3):
-            x, y, z = rows[0, 1 + c], rows[0, 2 + c], rows[0, 3 + c]
-            M = drv[strapdown.CALIBRATION + 3 * c : strapdown.CALIBRATION + 3 * c + 9]
-            xx, xy, xz, yx, yy, yz, zx, zy, zz = M[0], M[1], M[2], M[3], M[4], M[5], M[6], M[7], M[8]
-            ex, ey, ez = errors[c], errors[c + 1], errors[c + 2]
-            for i in range(k + 1):
-                # by how much other readings than the last err otherwise, as the unit is not calibrated
-                u, v, w = rows[i, 1 + c] - x, rows[i, 2 + c] - y, rows[i, 3 + c] - z
-                rows[i, 1 + c] -= ex + xx * u + xy * v + xz * w
-                rows[i, 2 + c] -= ey + yx * u + yy * v + yz * w
-                rows[i, 3 + c] -= ez + zx * u + zy * v + zz * w
+            rows[0, 1 + j] = work[9, 2 + j]
         gravity[0] = strapdown.gravity(nav[0], nav[2])
 
     return inertial_motion
@@ -247,22 +267,30 @@ def consider(sources):
         S (2a, a): the residual's covariance first; untold: of the states from `at` on, not 0 for those that are so.
         """
         _ = sources
-        a = K.shape[1]
-        for i in range(untold.size):
-            if untold[i] == 0.0:
+        (n, a), end, most = K.shape, at + untold.size, (untold.size + LANES - 1) // LANES * LANES
+        # rows of the gain, of so many states that their number is a multiple of eight: zero where one is told of, or is
+        # none of these constants. Nothing is added then.
+        first, gains, factors = min(at, n - most), scratch(np.float64, a, most), scratch(np.float64, a, a)
+        for c in range(a):
+            for j in range(most):
+                i = first + j
+                gains[c, j] = K[i, c] if at <= i < end and untold[i - at] != 0.0 else 0.0
+        whole, rows = flat(P), flat(gains)
+        for i in range(at, end):
+            if untold[i - at] == 0.0:
                 continue
             for c in range(a):
-                x[at + i - 9] -= K[at + i, c] * res[c]
-            for j in range(i + 1):
-                if untold[j] == 0.0:
-                    continue
-                s = 0.0
+                x[i - 9] -= K[i, c] * res[c]
+                for r in range(a):
+                    factors[c, r] = K[i, c] * S[c, r]
+            for j in range(0, i - first + 1, LANES):
+                place, s = i * n + first + j, all_of(0.0)
                 for c in range(a):
                     for r in range(a):
-                        s += K[at + i, c] * S[c, r] * K[at + j, r]
-                P[at + i, at + j] += s
-                if j < i:
-                    P[at + j, at + i] += s
+                        s = s + times(all_of(factors[c, r]), eight(rows, r * most + j))
+                put(whole, place, eight(whole, place) + s)
+            for j in range(at, i):  # what is beyond the diagonal has been rounded otherwise, or is not added yet
+                P[j, i] = P[i, j]
 
     return consider
 
@@ -311,7 +339,8 @@ def withhold_hidden(sources):
         a, known = H.shape[0], 0.0
         for c in range(a):
             for i in range(H.shape[1]):
-                known += H[c, i] * K[i, c]
+                if H[c, i] != 0.0:
+                    known += H[c, i] * K[i, c]
         for q in range(untold.size):
             i, told = at + q, 0.0
             for c in range(a):
@@ -339,21 +368,25 @@ def pushed(sources):
                 pushes[i, j] = 0.0
         if drv[strapdown.INERTIAL] == 0.0:
             return
-        k, g = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2])
-        J = shaped(work, 3, k + 3)
-        for i in range(3):
-            for j in range(3):
-                J[i, j] = 0.0
-            for s in range(k):
-                J[i, 3 + s] = -(nav[6 + 3 * i] * Cr[3, s] + nav[7 + 3 * i] * Cr[4, s] + nav[8 + 3 * i] * Cr[5, s])
-        J[0, 1], J[1, 0] = -g, g
-        for i in range(3):
-            for c in range(k + 3):
+        k, g, count = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2]), 2
+        # errors that accelerate are few: tilts, then states of the accelerometers; a row each of how, and where it stands
+        J, which = shaped(work, k + 3, 3), flat(scratch(np.int64, int(1), k + 3))
+        J[0, 0], J[0, 1], J[0, 2], which[0] = 0.0, g, 0.0, 6
+        J[1, 0], J[1, 1], J[1, 2], which[1] = -g, 0.0, 0.0, 7
+        for s in range(k):
+            x, y, z = Cr[3, s], Cr[4, s], Cr[5, s]
+            if x != 0.0 or y != 0.0 or z != 0.0:
+                for i in range(3):
+                    J[count, i] = -(nav[6 + 3 * i] * x + nav[7 + 3 * i] * y + nav[8 + 3 * i] * z)
+                which[count] = 9 + s
+                count += 1
+        for c in range(count):
+            for i in range(3):
                 with_c = 0.0
-                for r in range(k + 3):
-                    with_c += J[i, r] * P[6 + r, 6 + c]
+                for r in range(count):
+                    with_c += J[r, i] * P[which[r], which[c]]
                 for j in range(3):
-                    pushes[i, j] += with_c * J[j, c]
+                    pushes[i, j] += with_c * J[c, j]
 
     return pushed
 
@@ -393,6 +426,24 @@ def discount(sources):
 
 
 @_keyed
+def _asked(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _asked(recent, late_s, long_s):
+        """How many of the drive's last samples `measurement.earlier` and `lately` ask for, with the one that the oldest
+        of them is a mean with.
+        """
+        _, most = sources, recent.shape[0]
+        over_s = min(long_s, max(2.0 * late_s, WINDOW_S))
+        reach_s, count, age_s = max(late_s, 0.5 * over_s) + 0.5 * over_s, 1, 0.0
+        while count < most and age_s < reach_s:
+            age_s += max(recent[count, 0], 0.0)
+            count += 1
+        return min(count + 1, most)
+
+    return _asked
+
+
+@_keyed
 def _sight(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
@@ -403,7 +454,7 @@ def _sight(sources):
         arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
         a, last = near.shape[0], near.shape[1] - 10
         own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
-        kind, k, late_s = par[:own], len(xd), 0.0
+        kind, k = par[:own], len(xd)
         then, turn, gravity, errors = work[:17], work[17:23], work[23:24], work[24:30]
         slope, B, told = shaped(work[30:48], 2, 9), shaped(work[48:129], 9, 9), work[129:132]
         steady, work = work[132:149], work[ROOM:]
@@ -424,12 +475,11 @@ def _sight(sources):
         seen, turning, over_s = nav, rate, 0.0
         drive_outputs(drv, Cr, xd, outputs, errors)
         long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
-        known = math.ceil((since_s + (abs(par[last]) if clock else 0.0) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 3
-        known = min(recent.shape[0], max(2, known))
+        late_s = since_s + par[last] if clock else 0.0
+        known = _asked(recent, late_s, long_s)
         rows = shaped(work[: 7 * (known + 1)], known + 1, 7)
         addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
         if clock:
-            late_s = since_s + par[last]
             over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
             seen, turning = then, turn[:3]
         addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
@@ -488,7 +538,7 @@ def _sight(sources):
 
 @_keyed
 def sight(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def sight(
         equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
     ):
@@ -506,7 +556,7 @@ def sight(sources):
         """
         _ = sources
         sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + len(z) + 2 * len(cfg) + 6 * len(xd)
-        work = np.empty(ROOM + sizes)
+        work = flat(scratch(np.float64, int(1), ROOM + sizes))
         given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes
         _sight(given, H, near, res, R, work)
 

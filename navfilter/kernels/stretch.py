@@ -169,7 +169,8 @@ def correction(sources):
                 before[i] = near[i, 8 + parameters]
             room = room[a:]
             pushes = shaped(room[:9], 3, 3)
-            past.pushed(P, nav, drv, Cr, pushes, room[9 : 9 + 3 * (m - 6)])
+            if timed:
+                past.pushed(P, nav, drv, Cr, pushes, room[9 : 9 + 3 * (m - 6)])
             addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], pushes, H, near, res, R))
             if timed:
                 measurement.hold_clock(P, near, before, 8 + parameters)
