@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped
-from navfilter.kernels.registers import all_of, eight, load, store, times
+from navfilter.kernels.registers import all_of, eight, load, store
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -848,60 +848,66 @@ def _stepped_back(X, motion, gravity, span):
     return span
 
 
-@njit(cache=True, inline="always")
-def _within(begin, end, age, seconds):
-    """How much of an interval that begins at an age lies between two others."""
-    return max(0.0, min(age + seconds, end) - max(age, begin))
+@njit(cache=True, **UNCOUNTED)
+def _gathered(motion, ages, sums):
+    """Integrals of rates and forces up to each of some ages (q,), which grow, from the one before, into rows of `sums`
+    (q, 8), behind its first two numbers; the first one is over what time any are known. Returns the oldest interval of
+    these, -1 for none.
+    """
+    whole, total, at, age, known, last, q = flat(motion), all_of(0.0), 0.0, 0.0, 0.0, -1, 0
+    for k in range(motion.shape[0]):
+        if motion[k, 0] <= 0.0:
+            continue
+        if k == 0:  # nothing stands before it
+            sums[0, 0] = 0.0
+            for j in range(7):
+                sums[0, 1 + j] = motion[0, j]
+        values, last, age = eight(whole, 7 * k - 1) if k > 0 else load(sums, 0), k, age + motion[k, 0]
+        while q < ages.size and ages[q] <= age:
+            store(sums, q, total + all_of(ages[q] - at) * values)
+            sums[q, 0] = known + (ages[q] - at)
+            total, at, known, q = all_of(0.0), ages[q], 0.0, q + 1
+        if q == ages.size:
+            return last
+        total, known, at = total + all_of(age - at) * values, known + (age - at), age
+    for i in range(q, ages.size):
+        store(sums, i, total)
+        sums[i, 0], total, known = known, all_of(0.0), 0.0
+    return last
 
 
 @njit(cache=True, **UNCOUNTED)
-def _motion_about(motion, late_s, window_s, mean, growth):
-    """Mean of rates and forces (6,) over a window about an age, which ends now at the latest, and how fast they grow;
-    where nothing is known of then, the oldest that is. Returns the age of its middle.
+def _mean_of(motion, last, sums, i, j, mean):
+    """Mean of rates and forces (6,) from one to another of the rows of `_gathered`; where nothing is known of then, the
+    oldest that is.
     """
-    half, room, whole = 0.5 * window_s, scratch(np.float64, int(2), int(8)), flat(motion)
-    centre = max(late_s, half)
-    # of the half before the middle, and of that behind it; eight numbers: see `past.inertial_motion`
-    known, old, age, last, oldest = 0.0, 0.0, 0.0, -1, -1
-    total, totals = all_of(0.0), all_of(0.0)
-    for k in range(motion.shape[0]):
-        if age >= centre + half:
-            break
-        if motion[k, 0] <= 0.0:
-            continue
-        inside = _within(centre - half, centre, age, motion[k, 0])
-        beyond = _within(centre, centre + half, age, motion[k, 0])
-        if age < centre:
-            last = k
-        oldest = k
-        age += motion[k, 0]
-        if inside == 0.0 and beyond == 0.0:
-            continue
-        if k == 0:
-            for j in range(7):
-                room[0, 1 + j] = motion[0, j]
-            room[0, 0] = 0.0
-        values = eight(whole, 7 * k - 1) if k > 0 else load(room, 0)
-        if inside > 0.0:
-            known, total = known + inside, total + times(all_of(inside), values)
-        if beyond > 0.0:
-            old, totals = old + beyond, totals + times(all_of(beyond), values)
-    store(room, 0, total)
-    store(room, 1, totals)
+    known = sums[i, 0] + sums[j, 0] if i != j else sums[i, 0]
+    for c in range(6):
+        if known > 0.0:
+            mean[c] = (sums[i, 2 + c] + sums[j, 2 + c] if i != j else sums[i, 2 + c]) / known
+        else:
+            mean[c] = motion[last, 1 + c] if last >= 0 else 0.0
+
+
+@njit(cache=True, **UNCOUNTED)
+def _motion_about(motion, last, sums, width, half, mean, growth):
+    """Mean of rates and forces (6,) over a window about the third of five ages, from the second to the fourth (width 1)
+    or from the first to the last (width 2), half of it before and half of it behind; and how fast they grow.
+    """
+    _mean_of(motion, last, sums, int(3), 2 + width, growth)
+    _mean_of(motion, last, sums, 3 - width, int(2), mean)
     for i in range(6):
-        mean[i] = room[0, 2 + i] / known if known > 0.0 else motion[last, 1 + i] if last >= 0 else 0.0
-        growth[i] = room[1, 2 + i] / old if old > 0.0 else motion[oldest, 1 + i] if oldest >= 0 else 0.0
         step = mean[i] - growth[i]
         mean[i] -= 0.5 * step
         growth[i] = step / half
-    return centre
 
 
 @njit(cache=True, **UNCOUNTED)
 def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work):
-    """As `earlier`, which says what is given; work: 104."""
+    """As `earlier`, which says what is given; work: 149."""
     X, C, v, by = work[:64], work[64:73], work[73:76], work[76:85]
     mean, growth, ahead = work[85:91], work[91:97], work[97:104]
+    ages, sums = work[104:109], shaped(work[109:149], 5, 8)
     for i in range(17):
         then[i] = nav[i]
     for i in range(64):
@@ -911,7 +917,13 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
             X[8 * j + i] = nav[6 + 3 * i + j]
         X[24 + i] = nav[3 + i]
     X[58] = 1.0
-    centre = _motion_about(motion, late_s, window_s, mean, growth)
+    # windows end now at the latest: both have the same middle
+    over_s, centre = min(slope_s, max(2.0 * late_s, window_s)), max(late_s, 0.5 * window_s)
+    for i in range(5):
+        half = 0.5 * (over_s if i % 4 == 0 else window_s)
+        ages[i] = centre + (half if i > 2 else -half if i < 2 else 0.0)
+    last = _gathered(motion, ages, sums)
+    _motion_about(motion, last, sums, int(1), 0.5 * window_s, mean, growth)
     # from the middle of the window to that of what is to come
     further = centre - 0.5 * late_s if late_s < 0.0 else 0.0
     for i in range(3):
@@ -930,9 +942,7 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
     then[15], then[16] = nav[15] + by[2], nav[16] + by[2]
-    over_s = min(slope_s, max(2.0 * late_s, window_s))
-    if over_s != window_s:  # else it has been found already
-        centre = _motion_about(motion, late_s, over_s, mean, growth)
+    _motion_about(motion, last, sums, int(2), 0.5 * over_s, mean, growth)
     for i in range(3):
         then[3 + i], slope[0, i], turn[3 + i] = v[i], v[i], growth[i]
         mean[i] += (centre - late_s) * growth[i]
@@ -972,5 +982,5 @@ def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, 
     and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
     means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
     """
-    work = flat(scratch(np.float64, int(1), int(104)))
+    work = flat(scratch(np.float64, int(1), int(149)))
     return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work)
