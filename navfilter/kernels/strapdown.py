@@ -478,14 +478,33 @@ def _build_carry(context, builder, kinds, arguments):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _carry_directly(X, work, C, moving, Phi_ends):
-    """`_inertial_carry` where errors enter plainly, and no constant does: without a call, for each sample has two."""
-    f, size = work[STEP:ROWS], _high(moving) * WIDE
-    if Phi_ends > 0:
-        _carry_alone(X[:size], f)
-    for begin in range(size if Phi_ends > 0 else 0, X.size, size):
+def _carry_directly(X, work, C, size):
+    """`_inertial_carry` of panels of this size where errors enter plainly, and no constant does: without a call."""
+    f = work[STEP:ROWS]
+    for begin in range(0, X.size, size):
         Z = X[begin : begin + size]
         _carry_panel(Z, Z[9 * WIDE :], f[0], f, C)
+
+
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
+def _carry_transition(Phi, work, C, seen, moving, constant):
+    """`_inertial_carry` of a transition where errors enter plainly; constant: whether states that do not move follow
+    those that do.
+    """
+    f, size, E, G = work[STEP:ROWS], _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
+    mixed = moving // WIDE * size if constant else Phi.size
+    _carry_alone(Phi[:size], f)
+    _carry_directly(Phi[size:mixed], work, C, size)
+    rows = 6 * mixed // size
+    for begin in range(mixed, Phi.size, size):
+        Z = Phi[begin : begin + size]
+        if begin == mixed:
+            for i in range(6):
+                store(E, i, load(Z, 9 + i) + load(G, rows + i))
+            _carry_panel(Z, E, f[0], f, C)
+        else:
+            _carry_panel(Z, G[rows * WIDE :], f[0], f, C)
+        rows += 6
 
 
 @apart
@@ -628,10 +647,11 @@ def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, wor
     them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
-    Phi_ends = both.size - Q.size
+    Phi_ends, size = both.size - Q.size, _high(moving) * WIDE
     moved = both if gathered else both[:Phi_ends]
     if direct:
-        _carry_directly(moved, work, C, moving, Phi_ends)
+        _carry_transition(both[:Phi_ends], work, C, seen, moving, moving < 9 + len(xd))
+        _carry_directly(moved[Phi_ends:], work, C, size)
     else:
         _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
     if ticks > 0 and not walks:
@@ -639,7 +659,7 @@ def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, wor
     if gathered:
         _transpose(Q, moving)
         if direct:
-            _carry_directly(Q, work, C, moving, int(0))
+            _carry_directly(Q, work, C, size)
         else:
             _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
     for count in range(ticks):
@@ -973,7 +993,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     both, Q, work = _workspace(floats, m, moving)
     kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
     _note_calibration(xd, drv)
-    C, inc, direct = drv[MEAN_C : MEAN_C + 9], work[:STEP], kinds[2] and kinds[0] == kinds[1]
+    C, inc, direct = drv[MEAN_C : MEAN_C + 9], work[:STEP], kinds[2] and kinds[1] == kinds[3]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
