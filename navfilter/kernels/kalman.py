@@ -928,14 +928,19 @@ def turn_deviation(P, K, res, first):
     that is, and have to follow it. Else each reading would tell a little of the heading by how its slope has changed
     (Huang, Mourikis and Roumeliotis, 2010, International Journal of Robotics Research 29).
     """
-    by = _deviated(K, res, first)
-    n = P.shape[0]
+    by, n, whole = _deviated(K, res, first), P.shape[0], flat(P)
+    own, last = 8 * n, n - WIDE
     for i in range(4):
-        for j in range(n):
-            P[first + i, j] += by[i] * P[8, j]
-    for i in range(4):
-        for j in range(n):
-            P[j, first + i] += by[i] * P[j, 8]
+        row, f = (first + i) * n, all_of(by[i])
+        overlapping = eight(whole, row + last) + times(f, eight(whole, own + last))
+        for j in range(0, last, WIDE):
+            put(whole, row + j, eight(whole, row + j) + times(f, eight(whole, own + j)))
+        put(whole, row + last, overlapping)
+    _follow(P, first, first + 4)
+    for j in range(first, first + 4):
+        f = P[j, 8]
+        for i in range(4):
+            P[j, first + i] += by[i] * f
     for i in range(first, first + 4):
         for j in range(first, i):
             s = 0.5 * (P[i, j] + P[j, i])

@@ -56,13 +56,15 @@ def drive_outputs(sources):
         _ = sources
         k, elements = len(xd), int(drv[strapdown.CALIBRATED])
         per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+        whole = flat(rows)
+        for i in range(whole.size):
+            whole[i] = 0.0
         for i in range(6):
             s = 0.0
             for j in range(k - elements):
-                rows[i, j] = Cr[i, j]
-                s += Cr[i, j] * xd[j]
-            for j in range(k - elements, k):
-                rows[i, j] = 0.0
+                if Cr[i, j] != 0.0:
+                    rows[i, j] = Cr[i, j]
+                    s += Cr[i, j] * xd[j]
             errors[i] = s
         for q in range(elements):
             element, j = int(drv[strapdown.ELEMENTS + q]), k - elements + q

@@ -717,10 +717,10 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _uncalibrated(dt, drv, seen, begin, end, work):
-    """Take the calibration errors off the increments, and note by how much each element of M enters, as one of the
-    pairs from begin to end, and as a constant: as the reading of its axis. Over no time at all that is no number, and
-    nothing to speak of.
+def _uncalibrated(dt, drv, seen, begin, end, varying, work):
+    """Take the calibration errors off the increments, and note by how much each element of M enters: as one of the
+    pairs from begin to end if these vary, as a constant else. It is the reading of its axis, and over no time at all no
+    number, and nothing to speak of.
     """
     inc, readings, gain, M = work[:STEP], work[STEP : STEP + 6], work[GAINS:], drv[CALIBRATION : CALIBRATION + 18]
     G = gain[seen.shape[1] :]
@@ -731,7 +731,10 @@ def _uncalibrated(dt, drv, seen, begin, end, work):
             readings[c + i] = inc[c + i] / dt if dt != 0.0 else 0.0
             inc[c + i] = inc[c + i] - M[of] * x - M[of + 1] * y - M[of + 2] * z
     for p in range(begin, end):
-        gain[p] = G[seen[3, p]] = readings[seen[2, p]]
+        if varying:
+            gain[p] = readings[seen[2, p]]
+        else:
+            G[seen[3, p]] = readings[seen[2, p]]
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -1005,7 +1008,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         if drv[CALIBRATED] != 0.0:
             if kinds[3] == kinds[0]:  # they are no constants
                 _note_calibration(xd, drv)
-            _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
+            _uncalibrated(dt, drv, seen, kinds[1], kinds[0], kinds[3] == kinds[0], work)
         _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
         _inertial_advance(nav, dt, drv, work)
         ticks = _ticks(samples[n, 0], drv)
@@ -1041,7 +1044,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
-        _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
+        _uncalibrated(dt, drv, seen, kinds[1], kinds[0], kinds[3] == kinds[0], work)
     _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
     _inertial_advance(nav, dt, drv, work)
     _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, False, work, both, Q, gathered, moving)

@@ -132,7 +132,8 @@ def correction(sources):
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
         H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
-        if spot[TURNS] or spot[READS_RATE]:
+        timed = spot[SIGHT] != 0 and bench[spot[FACTS] + past.CLOCK] != 0.0
+        if spot[READS_RATE] or (spot[TURNS] and not timed):  # by a clock that is a state the rate is that of then
             outputs, off = shaped(spare[: 6 * (m - 9)], 6, m - 9), spare[6 * (m - 9) : 6 * (m - 8)]
             past.drive_outputs(drv, Cr, xd, outputs, off)
             per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
@@ -162,7 +163,7 @@ def correction(sources):
             facts = bench[spot[FACTS] : spot[FACTS] + past.BY_ARM + 3 * spot[CONSTANTS_SIZE]]
             sensor = spot[EQUATION], spot[MOTION], facts
             here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
-            clock, timed = start + errors + parameters - 1, bench[spot[FACTS] + past.CLOCK] != 0.0
+            clock = start + errors + parameters - 1
             room = spare[6 * (m - 8) + z.size + a * slopes :]
             before = room[:a]
             for i in range(a):
