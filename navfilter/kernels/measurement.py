@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped
-from navfilter.kernels.registers import all_of, eight, load, store
+from navfilter.kernels.registers import across, all_of, eight, if_below, load, not_zero, store
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -798,27 +798,83 @@ def _turned(x, y, z, p, q, u, v, w):
     return u + p * f + q * (y * h - z * g), v + p * g + q * (z * f - x * h), w + p * h + q * (x * g - y * f)
 
 
+@njit(cache=True, inline="always")
+def _piece_back(state, down, dt, x, y, z, p, q, a, b, c):
+    """What is carried, see `_stepped_back`, before a piece in which the body turns by (x, y, z), p and q see
+    `_rodrigues`, and (a, b, c) is the change of velocity in the attitude behind it.
+    """
+    u, v, w, speed, way, once, twice = state
+    by, half, pull = all_of(dt), all_of(0.5 * dt), all_of(dt) * down
+    force = all_of(a) * u + all_of(b) * v + all_of(c) * w
+    way = way + by * speed - half * (force + pull)
+    twice = twice + by * once + half * force
+    once, speed = once + force, speed - force - pull
+    u, v, w = _turned(all_of(x), all_of(y), all_of(z), all_of(p), all_of(q), u, v, w)
+    return u, v, w, speed, way, once, twice
+
+
+@njit(cache=True, inline="always")
+def _series(t2):
+    """`_rodrigues` of eight small angles."""
+    return (
+        all_of(1.0) - t2 * (all_of(P3) - t2 * (all_of(P5) - all_of(P7) * t2)),
+        all_of(0.5) - t2 * (all_of(Q4) - t2 * (all_of(Q6) - all_of(Q8) * t2)),
+    )
+
+
 @njit(cache=True, **UNCOUNTED)
-def _stepped_back(X, motion, gravity, span):
+def _eight_pieces(motion, k, span, work):
+    """What `_piece_back` is told of eight intervals from k on, one a column of `work` (9, 8). Returns what they leave of
+    the span, or -1 where they do not lie in it, or have to be taken one by one.
+    """
+    for i in range(k, k + 8):
+        if motion[i, 0] > PIECE_S:
+            return -1.0
+        span -= motion[i, 0]
+    if span < 0.0:
+        return -1.0
+    across(flat(motion), 7 * k - 1, int(7), work)
+    dt = load(work, 1)
+    x, y, z = dt * load(work, 2), dt * load(work, 3), dt * load(work, 4)
+    a, b, c = dt * load(work, 5), dt * load(work, 6), dt * load(work, 7)
+    t2 = x * x + y * y + z * z
+    if not_zero(if_below(t2, all_of(SMALL_ANGLE2), all_of(0.0), all_of(1.0))) > 0:
+        return -1.0
+    p, q = _series(all_of(0.25) * t2)
+    a, b, c = _turned(all_of(-0.5) * x, all_of(-0.5) * y, all_of(-0.5) * z, p, q, a, b, c)
+    p, q = _series(t2)
+    store(work, 0, dt)
+    store(work, 1, x)
+    store(work, 2, y)
+    store(work, 3, z)
+    store(work, 4, p)
+    store(work, 5, q)
+    store(work, 6, a)
+    store(work, 7, b)
+    store(work, 8, c)
+    return span
+
+
+@njit(cache=True, **UNCOUNTED)
+def _stepped_back(X, motion, gravity, span, work):
     """Attitude, velocity and sums carried back by `span` in the intervals of motion, at the constant rate and specific
     force in b of each, in pieces of at most `PIECE_S`. Returns what is left of the span.
 
     X: values of eight numbers, of which the first three are meant, north, east and down: columns of C_nb, velocity,
-    way, time integrals of the specific force in n, once and twice, and where gravity acts, 1.
+    way, time integrals of the specific force in n, once and twice, and where gravity acts, 1. work (9, 8).
     """
-    u, v, w, speed, way, once, twice = (
-        load(X, 0),
-        load(X, 1),
-        load(X, 2),
-        load(X, 3),
-        load(X, 4),
-        load(X, 5),
-        load(X, 6),
-    )
-    down = load(X, 7) * all_of(gravity)
-    for k in range(motion.shape[0]):
-        if span == 0.0:
-            break
+    state = load(X, 0), load(X, 1), load(X, 2), load(X, 3), load(X, 4), load(X, 5), load(X, 6)
+    down, k, rows = load(X, 7) * all_of(gravity), 0, motion.shape[0]
+    while k < rows and span != 0.0:
+        if 0 < k <= rows - 8:
+            rest = _eight_pieces(motion, k, span, work)
+            if rest >= 0.0:
+                for i in range(8):
+                    dt, x, y, z, p = work[0, i], work[1, i], work[2, i], work[3, i], work[4, i]
+                    q, a, b, c = work[5, i], work[6, i], work[7, i], work[8, i]
+                    state = _piece_back(state, down, dt, x, y, z, p, q, a, b, c)
+                k, span = k + 8, rest
+                continue
         dt, pieces = min(motion[k, 0], span), 1
         span -= dt
         if abs(dt) > PIECE_S:
@@ -831,13 +887,10 @@ def _stepped_back(X, motion, gravity, span):
         p, q = _rodrigues(0.25 * t2)
         a, b, c = _turned(-0.5 * x, -0.5 * y, -0.5 * z, p, q, a, b, c)
         p, q = _rodrigues(t2)
-        by, half, pull = all_of(dt), all_of(0.5 * dt), all_of(dt) * down
         for _ in range(pieces):
-            force = all_of(a) * u + all_of(b) * v + all_of(c) * w
-            way = way + by * speed - half * (force + pull)
-            twice = twice + by * once + half * force
-            once, speed = once + force, speed - force - pull
-            u, v, w = _turned(all_of(x), all_of(y), all_of(z), all_of(p), all_of(q), u, v, w)
+            state = _piece_back(state, down, dt, x, y, z, p, q, a, b, c)
+        k += 1
+    u, v, w, speed, way, once, twice = state
     store(X, 0, u)
     store(X, 1, v)
     store(X, 2, w)
@@ -904,10 +957,10 @@ def _motion_about(motion, last, sums, width, half, mean, growth):
 
 @njit(cache=True, **UNCOUNTED)
 def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work):
-    """As `earlier`, which says what is given; work: 149."""
+    """As `earlier`, which says what is given; work: 221."""
     X, C, v, by = work[:64], work[64:73], work[73:76], work[76:85]
     mean, growth, ahead = work[85:91], work[91:97], work[97:104]
-    ages, sums = work[104:109], shaped(work[109:149], 5, 8)
+    ages, sums, pieces = work[104:109], shaped(work[109:149], 5, 8), shaped(work[149:221], 9, 8)
     for i in range(17):
         then[i] = nav[i]
     for i in range(64):
@@ -931,8 +984,8 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
         ahead[1 + i], ahead[4 + i] = mean[i] + further * growth[i], mean[3 + i]
     ahead[0] = late_s
     if late_s > 0.0:
-        ahead[0] = _stepped_back(X, motion, gravity, late_s)
-    _stepped_back(X, shaped(ahead, 1, 7), gravity, ahead[0])
+        ahead[0] = _stepped_back(X, motion, gravity, late_s, pieces)
+    _stepped_back(X, shaped(ahead, 1, 7), gravity, ahead[0], pieces)
     for i in range(3):
         for j in range(3):
             C[3 * i + j] = X[8 * j + i]
@@ -982,5 +1035,5 @@ def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, 
     and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
     means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
     """
-    work = flat(scratch(np.float64, int(1), int(149)))
+    work = flat(scratch(np.float64, int(1), int(221)))
     return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work)

@@ -14,7 +14,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin, models, register_model
 
 __all__ = [
-    *("LANES", "VECTOR", "all_below", "all_of", "call", "column", "compiled", "eight", "first_six", "if_below"),
+    *("LANES", "VECTOR", "across", "all_below", "all_of", "call", "column", "compiled", "eight", "first_six", "if_below"),
     *("if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_column", "store", "times", "transposed"),
 ]
 
@@ -60,6 +60,11 @@ def eight(array, first):
 def put(array, first, value):
     """Eight numbers to where `eight` would read them."""
     array[first : first + LANES] = value
+
+
+def across(array, first, width, columns):
+    """Eight times eight numbers of an array of one axis, `width` apart, from `first` on, as columns of a square one."""
+    columns[:] = np.array([array[first + width * i :][:LANES] for i in range(LANES)]).T
 
 
 def all_of(number):
@@ -175,6 +180,21 @@ def transposed(builder, rows):
                 rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
         apart //= 2
     return rows
+
+
+@compiled(across, types.void, types.Array, types.Integer, types.Integer, types.Array)
+def _build_across(context, builder, kinds, arguments):
+    of, to = (context.make_array(kinds.args[i])(context, builder, value=arguments[i]).data for i in (0, 3))
+    place, width = (context.cast(builder, arguments[i], kinds.args[i], types.intp) for i in (1, 2))
+    rows = []
+    for _ in range(LANES):
+        rows.append(builder.load(builder.bitcast(builder.gep(of, [place]), VECTOR.as_pointer())))
+        rows[-1].align = 8
+        place = builder.add(place, width)
+    to = builder.bitcast(to, VECTOR.as_pointer())
+    for i, row in enumerate(transposed(builder, rows)):
+        builder.store(row, builder.gep(to, [_ir.Constant(_ir.IntType(32), i)]), align=8)
+    return context.get_dummy_value()
 
 
 def call(builder, name, *arguments):
