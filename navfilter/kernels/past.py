@@ -10,7 +10,7 @@ import numpy as np
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
 from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped
-from navfilter.kernels.registers import LANES, all_of, eight, load, put, store, times
+from navfilter.kernels.registers import LANES, all_of, eight, if_below, load, put, store, times
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -270,29 +270,30 @@ def consider(sources):
         """
         _ = sources
         (n, a), end, most = K.shape, at + untold.size, (untold.size + LANES - 1) // LANES * LANES
-        # rows of the gain, of so many states that their number is a multiple of eight: zero where one is told of, or is
-        # none of these constants. Nothing is added then.
-        first, gains, factors = min(at, n - most), scratch(np.float64, a, most), scratch(np.float64, a, a)
-        for c in range(a):
-            for j in range(most):
-                i = first + j
-                gains[c, j] = K[i, c] if at <= i < end and untold[i - at] != 0.0 else 0.0
-        whole, rows = flat(P), flat(gains)
+        # of so many states that their number is a multiple of eight: which they are, whether they are meant, their gains
+        first, rows = min(at, n - most), scratch(np.float64, 2 + a, most)
+        for j in range(most):
+            i = first + j
+            rows[0, j], rows[1, j] = i, untold[i - at] if at <= i < end else 0.0
+            for c in range(a):
+                rows[2 + c, j] = K[i, c] if rows[1, j] != 0.0 else 0.0
+        whole, given = flat(P), flat(rows)
         for i in range(at, end):
             if untold[i - at] == 0.0:
                 continue
             for c in range(a):
                 x[i - 9] -= K[i, c] * res[c]
-                for r in range(a):
-                    factors[c, r] = K[i, c] * S[c, r]
-            for j in range(0, i - first + 1, LANES):
-                place, s = i * n + first + j, all_of(0.0)
+            for j in range(0, most, LANES):
+                # rounded as that of the later state by the earlier one, so that P stays symmetric to the bit
+                later, earlier, place = all_of(0.0), all_of(0.0), i * n + first + j
                 for c in range(a):
+                    of = eight(given, (2 + c) * most + j)
                     for r in range(a):
-                        s = s + times(all_of(factors[c, r]), eight(rows, r * most + j))
-                put(whole, place, eight(whole, place) + s)
-            for j in range(at, i):  # what is beyond the diagonal has been rounded otherwise, or is not added yet
-                P[j, i] = P[i, j]
+                        by = eight(given, (2 + r) * most + j)
+                        later = later + times(times(of, all_of(S[c, r])), all_of(K[i, r]))
+                        earlier = earlier + times(all_of(K[i, c] * S[c, r]), by)
+                more = if_below(eight(given, j), all_of(float(i)), earlier, later)
+                put(whole, place, eight(whole, place) + more)
 
     return consider
 
