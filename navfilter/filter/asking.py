@@ -114,8 +114,7 @@ def asked(
     else:
         par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
         clock = float(P[channel.group.slice.stop - 1, channel.group.slice.stop - 1])
-        reach_s = abs(float(par[-1])) + 0.5 * past.slope_s(clock)
-        moved = drive.motion(memory.recent[: drive.remembered(since_s + reach_s)], nav, memory.drv, errors)
+        moved = drive.motion(memory.recent, nav, memory.drv, errors)
         pushes = np.empty((3, 3))
         past.pushed(P, nav, memory.drv, drive_output, pushes, np.empty(3 * drive_output.shape[1] + 6))
         known = outputs, (memory.drv, drive_output), (clock, pushes)
