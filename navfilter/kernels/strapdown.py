@@ -500,10 +500,10 @@ def _carry_transition(Phi, work, C, seen, moving, constant):
         Z = Phi[begin : begin + size]
         if begin == mixed:
             for i in range(6):
-                store(E, i, load(Z, 9 + i) + load(G, rows + i))
-            _carry_panel(Z, E, f[0], f, C)
+                store(E, i, all_of(f[0]) * load(Z, 9 + i) + load(G, rows + i))
+            _carry_panel(Z, E, 1.0, f, C)
         else:
-            _carry_panel(Z, G[rows * WIDE :], f[0], f, C)
+            _carry_panel(Z, G[rows * WIDE :], 1.0, f, C)
         rows += 6
 
 
@@ -515,7 +515,7 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
 
     seen, kinds: as `_which_errors` has it. Rows of errors are put together where states enter the readings in another
     way than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise: to its columns of Phi
-    come the rows that `_uncalibrated` leaves.
+    come the rows that `_uncalibrated` leaves, of the whole step.
     """
     count, noisy, plain, varying = kinds
     f, E, gain, G = work[STEP:ROWS], work[ROWS:GAINS], work[GAINS:], work[GAINS + seen.shape[1] :]
@@ -531,17 +531,16 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
             _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
             continue
         if constant and left >= moving:
-            _carry_panel(Z, G[6 * left :], dt, f, C)
+            _carry_panel(Z, G[6 * left :], 1.0, f, C)
             continue
         for i in range(6):
             store(E, i, load(Z, 9 + i) if plain else all_of(0.0))
         for p in range(noisy if plain else 0, varying):
             row = seen[0, p]
             store(E, row, load(E, row) + times(all_of(gain[p]), load(Z, 9 + seen[1, p])))
-        if constant:
-            for i in range(6):
-                store(E, i, load(E, i) + load(G, 6 * (left // WIDE) + i))
-        _carry_panel(Z, E, dt, f, C)
+        for i in range(6 if constant else 0):
+            store(E, i, all_of(dt) * load(E, i) + load(G, 6 * (left // WIDE) + i))
+        _carry_panel(Z, E, 1.0 if constant else dt, f, C)
 
 
 @apart
@@ -718,9 +717,9 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(dt, drv, seen, begin, end, varying, work):
-    """Take the calibration errors off the increments, and note by how much each element of M enters: as one of the
-    pairs from begin to end if these vary, as a constant else. It is the reading of its axis, and over no time at all no
-    number, and nothing to speak of.
+    """Take the calibration errors off the increments, and note how each element of M enters, by the reading of its axis:
+    as one of the pairs from begin to end if these vary (by a rate, which over no time at all is no number, and nothing
+    to speak of), as a constant by what it does in this step.
     """
     inc, readings, gain, M = work[:STEP], work[STEP : STEP + 6], work[GAINS:], drv[CALIBRATION : CALIBRATION + 18]
     G = gain[seen.shape[1] :]
@@ -728,11 +727,11 @@ def _uncalibrated(dt, drv, seen, begin, end, varying, work):
         x, y, z = inc[c], inc[c + 1], inc[c + 2]
         for i in range(3):
             of = 3 * (c + i)
-            readings[c + i] = inc[c + i] / dt if dt != 0.0 else 0.0
+            readings[c + i] = inc[c + i]
             inc[c + i] = inc[c + i] - M[of] * x - M[of + 1] * y - M[of + 2] * z
     for p in range(begin, end):
         if varying:
-            gain[p] = readings[seen[2, p]]
+            gain[p] = readings[seen[2, p]] / dt if dt != 0.0 else 0.0
         else:
             G[seen[3, p]] = readings[seen[2, p]]
 
