@@ -478,33 +478,31 @@ def _build_carry(context, builder, kinds, arguments):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _carry_directly(X, work, C, size):
-    """`_inertial_carry` of panels of this size where errors enter plainly, and no constant does: without a call."""
-    f = work[STEP:ROWS]
-    for begin in range(0, X.size, size):
+def _carry_directly(X, work, C, moving, Phi_ends):
+    """`_inertial_carry` where errors enter plainly, and no constant does: without a call, for each sample has two."""
+    f, size = work[STEP:ROWS], _high(moving) * WIDE
+    if Phi_ends > 0:
+        _carry_alone(X[:size], f)
+    for begin in range(size if Phi_ends > 0 else 0, X.size, size):
         Z = X[begin : begin + size]
         _carry_panel(Z, Z[9 * WIDE :], f[0], f, C)
 
 
-@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _carry_transition(Phi, work, C, seen, moving, constant):
-    """`_inertial_carry` of a transition where errors enter plainly; constant: whether states that do not move follow
-    those that do.
-    """
-    f, size, E, G = work[STEP:ROWS], _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
-    mixed = moving // WIDE * size if constant else Phi.size
-    _carry_alone(Phi[:size], f)
-    _carry_directly(Phi[size:mixed], work, C, size)
-    rows = 6 * mixed // size
-    for begin in range(mixed, Phi.size, size):
-        Z = Phi[begin : begin + size]
-        if begin == mixed:
-            for i in range(6):
-                store(E, i, all_of(f[0]) * load(Z, 9 + i) + load(G, rows + i))
-            _carry_panel(Z, E, 1.0, f, C)
-        else:
-            _carry_panel(Z, G[rows * WIDE :], 1.0, f, C)
-        rows += 6
+@apart
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _carry_constants(X, work, C, seen, moving, Phi_ends):
+    """The same where constants follow the states that move: from one of the panels of the transition on."""
+    size, E, G = _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
+    f, begin = work[STEP:ROWS], moving // WIDE * size
+    _carry_directly(X[:begin], work, C, moving, begin)
+    Z, row = X[begin : begin + size], 6 * begin // size
+    for i in range(6):
+        store(E, i, all_of(f[0]) * load(Z, 9 + i) + load(G, row + i))
+    _carry_panel(Z, E, 1.0, f, C)
+    for left in range(begin + size, Phi_ends, size):
+        row += 6
+        _carry_panel(X[left : left + size], G[row * WIDE :], 1.0, f, C)
+    _carry_directly(X[Phi_ends:], work, C, moving, int(0))
 
 
 @apart
@@ -646,11 +644,12 @@ def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, wor
     them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
-    Phi_ends, size = both.size - Q.size, _high(moving) * WIDE
+    Phi_ends = both.size - Q.size
     moved = both if gathered else both[:Phi_ends]
-    if direct:
-        _carry_transition(both[:Phi_ends], work, C, seen, moving, moving < 9 + len(xd))
-        _carry_directly(moved[Phi_ends:], work, C, size)
+    if direct and moving < 9 + len(xd):
+        _carry_constants(moved, work, C, seen, moving, Phi_ends)
+    elif direct:
+        _carry_directly(moved, work, C, moving, Phi_ends)
     else:
         _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
     if ticks > 0 and not walks:
@@ -658,7 +657,7 @@ def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, wor
     if gathered:
         _transpose(Q, moving)
         if direct:
-            _carry_directly(Q, work, C, size)
+            _carry_directly(Q, work, C, moving, int(0))
         else:
             _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
     for count in range(ticks):
