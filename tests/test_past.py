@@ -81,8 +81,9 @@ def test_reckoned_motion(known):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("inertial", [True, False])
+@pytest.mark.parametrize("since_s", [0.3, -0.4])
 @pytest.mark.parametrize(("clock", "variance"), [(0.0, 0.0), (0.4, 0.16), (0.4, 1e-4)])
-def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, inertial):
+def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, inertial, since_s):
     rng = np.random.default_rng(3)
     sensor, sight, head = looked(KINDS[kind][0], clock)
     if not (clock or any(sensor.lever_arm_sd_m)):
@@ -97,13 +98,12 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, in
     into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)
     here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
     pushes = 1e-4 * np.array([[2.0, 0.5, -0.2], [0.5, 1.0, 0.1], [-0.2, 0.1, 0.3]])
-    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, 0.3, variance, pushes, *into)
+    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into)
     assert_close(ours[-4:], twins[-4:], 1e-9)  # quotients over 1e-3 of rounding
     imu = nf.Imu(rate_hz=100.0)
     outputs, errors = imu.outputs(Cr, drv, xd)
-    used = recent[: imu.remembered(0.3 + abs(par[-1]) + 0.5 * past.slope_s(variance))]
     near, res, H, R = np.zeros_like(into[1]), np.zeros(a), np.zeros((a, len(xd))), np.eye(a)
-    known = imu.motion(used, nav, drv, errors), 0.3, outputs, (drv, Cr), (variance, pushes)
+    known = imu.motion(recent, nav, drv, errors), since_s, outputs, (drv, Cr), (variance, pushes)
     sight.look(*here[:4], *known, (H, near, res, R))
     assert_close((ours[-4][:, 9 : 9 + len(xd)], *ours[-3:]), (H, near, res, R), 1e-9)
     assert ours[-4].any() == bool(clock)
