@@ -16,7 +16,6 @@ from navfilter.kernels.registers import across, all_of, eight, if_below, load, n
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
-COUNTED: dict = {"_nrt": True}
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
 # Squares of angles [rad^2] below which a rotation is a series, and one by the factorials in it.
@@ -824,8 +823,8 @@ def _series(t2):
 
 @njit(cache=True, **UNCOUNTED)
 def _eight_pieces(motion, k, span, work):
-    """What `_piece_back` is told of eight intervals from k on, one a column of `work` (9, 8). Returns what they leave of
-    the span, or -1 where they do not lie in it, or have to be taken one by one.
+    """What `_piece_back` is told of eight intervals from k on, one a column of `work` (9, 8). Returns what they leave
+    of the span, or -1 where they do not lie in it, or have to be taken one by one.
     """
     for i in range(k, k + 8):
         if motion[i, 0] > PIECE_S:

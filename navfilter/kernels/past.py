@@ -270,7 +270,7 @@ def consider(sources):
         """
         _ = sources
         (n, a), end, most = K.shape, at + untold.size, (untold.size + LANES - 1) // LANES * LANES
-        # of so many states that their number is a multiple of eight: which they are, whether they are meant, their gains
+        # of so many states that their number is a multiple of eight: which they are, if they are meant, their gains
         first, rows = min(at, n - most), scratch(np.float64, 2 + a, most)
         for j in range(most):
             i = first + j
@@ -372,7 +372,7 @@ def pushed(sources):
         if drv[strapdown.INERTIAL] == 0.0:
             return
         k, g, count = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2]), 2
-        # errors that accelerate are few: tilts, then states of the accelerometers; a row each of how, and where it stands
+        # errors that accelerate are few, tilts and states of the accelerometers: a row each of how, where it stands
         J, which = shaped(work, k + 3, 3), flat(scratch(np.int64, int(1), k + 3))
         J[0, 0], J[0, 1], J[0, 2], which[0] = 0.0, g, 0.0, 6
         J[1, 0], J[1, 1], J[1, 2], which[1] = -g, 0.0, 0.0, 7

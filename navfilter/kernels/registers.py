@@ -14,8 +14,9 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin, models, register_model
 
 __all__ = [
-    *("LANES", "VECTOR", "across", "all_below", "all_of", "call", "column", "compiled", "eight", "first_six", "if_below"),
-    *("if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_column", "store", "times", "transposed"),
+    *("LANES", "VECTOR", "across", "all_below", "all_of", "call", "column", "compiled", "eight", "first_six"),
+    *("if_below", "if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_column", "store", "times"),
+    "transposed",
 ]
 
 #: Numbers at a time: what the widest registers there are hold.

@@ -716,9 +716,9 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(dt, drv, seen, begin, end, varying, work):
-    """Take the calibration errors off the increments, and note how each element of M enters, by the reading of its axis:
-    as one of the pairs from begin to end if these vary (by a rate, which over no time at all is no number, and nothing
-    to speak of), as a constant by what it does in this step.
+    """Take the calibration errors off the increments, and note how each element of M enters, by what its axis reads: as
+    one of the pairs from begin to end if these vary (by a rate, which over no time at all is no number, and nothing to
+    speak of), as a constant by what it does in this step.
     """
     inc, readings, gain, M = work[:STEP], work[STEP : STEP + 6], work[GAINS:], drv[CALIBRATION : CALIBRATION + 18]
     G = gain[seen.shape[1] :]
