@@ -493,16 +493,19 @@ def _carry_directly(X, work, C, moving, Phi_ends):
 def _carry_constants(X, work, C, seen, moving, Phi_ends):
     """The same where constants follow the states that move: from one of the panels of the transition on."""
     size, E, G = _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
-    f, begin = work[STEP:ROWS], moving // WIDE * size
-    _carry_directly(X[:begin], work, C, moving, begin)
-    Z, row = X[begin : begin + size], 6 * begin // size
-    for i in range(6):
-        store(E, i, all_of(f[0]) * load(Z, 9 + i) + load(G, row + i))
-    _carry_panel(Z, E, 1.0, f, C)
-    for left in range(begin + size, Phi_ends, size):
-        row += 6
-        _carry_panel(X[left : left + size], G[row * WIDE :], 1.0, f, C)
-    _carry_directly(X[Phi_ends:], work, C, moving, int(0))
+    f, constant = work[STEP:ROWS], moving // WIDE * size
+    _carry_alone(X[:size], f)
+    for begin in range(size, X.size, size):
+        Z, by = X[begin : begin + size], f[0]
+        errors = Z[9 * WIDE :]
+        if constant <= begin < Phi_ends:
+            rows, by = G[6 * (begin // size) * WIDE :], 1.0
+            if begin == constant:
+                for i in range(6):
+                    store(E, i, all_of(f[0]) * load(errors, i) + load(rows, i))
+                rows = E
+            errors = rows
+        _carry_panel(Z, errors, by, f, C)
 
 
 @apart
