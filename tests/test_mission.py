@@ -173,6 +173,20 @@ def test_rows_that_cannot_be_read_are_counted(tmp_path):
     assert table.notes == ("a.csv: 1 rows with too many fields skipped",)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", " \n", "\n\n", "\n ", "\x0b", " # remark\n", "\u2028"])
+@pytest.mark.parametrize("last", [True, False])
+def test_how_lines_end_does_not_matter(tmp_path, end, last):
+    lines = ["t,x,name", "0,1,one", "1,2,3,4", "4,5,two"]
+    (tmp_path / "a.csv").write_bytes((end.join(lines) + end * last).encode())
+    table = read_table(tmp_path / "a.csv")
+    assert {key: cells.tolist() for key, cells in table.columns.items()} == {
+        "t": [0, 4],
+        "x": [1, 5],
+        "name": ["one", "two"],
+    }
+    assert table.notes == ("a.csv: 1 rows with too many fields skipped",)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
