@@ -948,7 +948,7 @@ def places(dims):
         2 * a * a,
         a * n,
         a * (9 + par),
-        7 + 2 * a,
+        8 + 2 * a,
         max(m, b, 2 * a) * n + 4 * b * b,
     ]
     return tuple(np.cumsum(sizes))
@@ -1924,6 +1924,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     used = mem[places_[8] + 2]
     mem[places_[9] - 1] = count if calm and used else mem[places_[9] - 1] + count
     velocity, turns = nav[3:6].copy(), drv[142] and turns_along(P, nav[3:5])
+    if spot[31] >= 0:
+        mem[places_[9] - 2] = R[spot[31], spot[31]]
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
     change = mem[places_[4] + 1 : places_[5]]
     change[:] = 0.0
@@ -1991,7 +1993,7 @@ def prompt(hand, recent, z, read, plain, t, early, samples, readings, numbers):
     i, spot, at_, n = int(i), plan[int(i)], numbers % len(heads), len(z)
     begins = [own[15] + own[26] + 3 + 2 * own[0] for own in plan[:-1]]
     last = [bench[begin] for begin in begins]
-    noted = bench[begins[i] : begins[i] + 4]
+    noted = bench[begins[i] : begins[i] + 5]
     simple = np.all(np.abs(z) <= most) and np.any(z)
     dived = dive < t - noted[2] < np.inf
     keeps = readings >= 0
@@ -2047,8 +2049,8 @@ def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
     if near:
         spot, note = table[near[0]], notes[near[0]]
         a, errors, north = spot[0], spot[5], spot[31]
-        C, R = bench[spot[20] :][: a * errors].reshape(a, errors), bench[spot[23] :][: a * a].reshape(a, a)
-        left = note[3 + north] * (R[north, north] / note[3 + a + north] if note[2] else 1.0)
+        C, R = bench[spot[20] :][: a * errors].reshape(a, errors), bench[spot[15] + spot[26] :][6 + 2 * a]
+        left = note[3 + north] * (R / note[3 + a + north] if note[2] else 1.0)
         now[11] = np.arctan2(nav[9], nav[6]) + left + C[north] @ x[spot[4] - 9 :][:errors]
         now[12] = now[11] - w[6, 9]
     return keep(looks, now, gyros, x, P, not (w[:6, 16] > 1.0).any() and w[6, 2] == 0.0)

@@ -1,6 +1,7 @@
 """Late readings take their place in time; a snapshot goes on to the last bit."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from feeding import Event, delayed, events_of, one_by_one
 import navfilter as nf
 from navfilter.beginning import Twin
 from navfilter.filter.memory import differences
+from navfilter.kernels import shifts
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -136,3 +138,25 @@ def test_snapshots_that_cannot_be_trusted_are_refused(dive, tmp_path):
         nf.Navigator.restore(vehicle, tmp_path / "nothing")
     with pytest.raises(ValueError, match="tape"):
         nf.Navigator(vehicle, mission.start, nf.Tape()).snapshot()
+
+
+def test_a_look_at_the_biases_does_not_ask_what_no_memory_holds():
+    """A compass that is heard less often than the history is long, with a standard deviation of its own each time:
+    where the look falls between it and the next, the state that is gone back to knows what that was.
+    """
+    vehicle, mission = simulate_scenario("lawnmower", 3, 60.0)
+    sensors = {"compass": replace(vehicle.sensors["compass"], rate_hz=1.0 / 2.9), "depth": vehicle.sensors["depth"]}
+    vehicle = replace(vehicle, sensors=sensors)
+    nav, again, looks = nf.Navigator(vehicle, mission.start), [], []
+    for k in range(1, 5001):
+        time_s = 0.01 * k
+        nav.step(time_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8))
+        if k % 290 == 0:
+            nav.correct("compass", time_s, 0.01 * (k % 7), sd=0.01 * (1 + k // 290 % 3))
+        if k % 20 == 10:
+            nav.correct("depth", time_s, 0.05)
+            looks.append(nav.filter.memory.shifts[-1, shifts.HEADING])
+            if len(set(looks[-2:])) == 2:
+                again.append(nf.Navigator.restore(vehicle, nav.snapshot()))
+                assert differences(again[-1].memory, nav.memory) == []
+    assert np.isfinite(looks[-1]) and len(again) >= 4

@@ -142,6 +142,8 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     P, nav = memory.P, memory.nav
     before, own = tuple(nav[3:6]), memory.drv[strapdown.OWN : strapdown.OWN + 1]
     turns = bool(own[0]) and kalman.turns_along(P, nav[3], nav[4])
+    if (north := channel.sensor.north) is not None:
+        channel.mem[channel.places[9] - stretch.NOTED + stretch.NORTH_WHITE] = R[north, north]
     moves = channel.moves and np.isfinite(channel.res).sum() >= 3
     kalman.update(P, nav, memory.x, C, R, channel.mem, channel.dims, gate)
     channel.change[:] = 0.0

@@ -105,7 +105,7 @@ class ChannelMemory:
         Of a depth gauge with a constant: that may as well be the state's (`heights`).
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9); then when it was read, when its
-        clock ticked last, and when a reading was used [s]; then see ``stretch.LET_GO``.
+        clock ticked last, and when a reading was used [s]; then see ``stretch.NORTH_WHITE``, ``LET_GO``.
     """
 
     rejected_since_s: float = math.nan
@@ -129,7 +129,7 @@ class ChannelMemory:
     same_s: float = math.nan
     again_s: float = math.nan
     either: bool = False
-    last: Array = field(default_factory=lambda: np.array([-math.inf, -math.inf, -math.inf, 0.0]))
+    last: Array = field(default_factory=lambda: np.array([-math.inf, -math.inf, -math.inf, 0.0, 0.0]))
 
     last_s = _time(stretch.LAST_S, "Time of the last reading [s].")
     ticked_s = _time(stretch.TICKED_S, "Of the last tick of its clock [s].")

@@ -775,7 +775,7 @@ def places(dims):
     PH = S + 2 * a * a
     near = PH + a * n
     verdict = near + a * (9 + dims[6])
-    work = verdict + 7 + 2 * a  # behind the verdict stands what is noted of readings: see `stretch.LAST_S`
+    work = verdict + 8 + 2 * a  # behind the verdict stands what is noted of readings: see `stretch.LAST_S`
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 

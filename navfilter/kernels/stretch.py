@@ -60,8 +60,9 @@ LOOK_S = 11
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
 # What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last (the
-# first two are columns of `heard`, too); for how many ticks its coloured error may have been beyond one sd.
-TAKEN_S, LET_GO, NOTED = 2, 3, 4
+# first two are columns of `heard`, too); white variance of the heading in its last reading; for how many ticks its
+# coloured error may have been beyond one sd.
+TAKEN_S, NORTH_WHITE, LET_GO, NOTED = 2, 3, 4, 5
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, most
 # components that one had, the last that had so many, how many have been used, and where the last of them was.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, FIGURES = range(11)
@@ -201,6 +202,8 @@ def correction(sources):
                 limits[i] = -1.0 if i else math.inf
         velocity = nav[3], nav[4], nav[5]
         turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
+        if spot[NORTH] >= 0:
+            mem[places[8] + 3 + 2 * a + NORTH_WHITE] = R[spot[NORTH], spot[NORTH]]
         kalman.update(P, nav, x, C, R, mem, dims, limits)
         change = mem[places[4] + 1 : places[5]]
         change[0], change[1], change[2] = 0.0, 0.0, 0.0
@@ -699,7 +702,7 @@ def look_at_biases(sources):
             a, errors, north, verdict = own[0], own[5], own[NORTH], own[MEM] + own[VERDICT]
             left = bench[verdict + 3 + north]
             if bench[verdict + 2] != 0.0:
-                left *= bench[own[NOISE] + north * a + north] / bench[verdict + 3 + a + north]
+                left *= bench[verdict + 3 + 2 * a + NORTH_WHITE] / bench[verdict + 3 + a + north]
             heading = math.atan2(nav[9], nav[6]) + left
             for j in range(errors):
                 heading += bench[own[OUTPUT] + north * errors + j] * x[own[4] - 9 + j]
