@@ -31,6 +31,7 @@ SCRIPTS = {
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
     "honest_constants": ("no other software", ()),
+    "honest_errors": ("no other software", ()),
     "honest_kinds": ("no other software", ()),
     "honest_random": ("no other software", ()),
     "honest_wrong": ("no other software", ()),
