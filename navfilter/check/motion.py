@@ -14,7 +14,13 @@ from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
-from navfilter.check.vertical import depth_sign_findings, sideways_findings, surfacing_findings, vertical_findings
+from navfilter.check.vertical import (
+    depth_sign_findings,
+    height_findings,
+    sideways_findings,
+    surfacing_findings,
+    vertical_findings,
+)
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
 
@@ -52,6 +58,7 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
             yield from found
     if vehicle is not None:
         yield from surfacing_findings(mission, vehicle)
+        yield from height_findings(mission, vehicle)
     for name, stream in mission.streams.items():
         if "v_x_m_s" in stream.columns:
             yield from course_findings(name, stream, mission, vehicle, agrees)

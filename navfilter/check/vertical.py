@@ -1,7 +1,10 @@
-"""Compare depth and velocity: a depth that counts up, a velocity whose z axis points up or whose y axis points left."""
+"""Compare depth, fixes and velocity: a depth that counts up, heights of another system, a velocity whose z axis points up
+or whose y axis points left.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -74,6 +77,32 @@ def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
             if up_m is None:
                 cure += f", and antenna_height_m in [sensors.{fixes}]: each surfacing then tells the offset"
             yield Finding("warning", name, text, f"{cure}.")
+
+
+def height_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
+    """Fixes whose heights are not in the system of the depths: each of the two is right, and one of them is refused."""
+    heard: list[tuple[str, Any]] = [(n, s) for n, s in vehicle.sensors.items() if n in mission.streams]
+    gauges = [(n, s) for n, s in heard if hasattr(s, "surface_height_m")]
+    receivers = [(n, s) for n, s in heard if getattr(s, "antenna_height_m", 0.0) is None]
+    for (fixes, receiver), (name, gauge) in itertools.product(receivers, gauges):
+        depth, good = gauge.read_all(mission.streams[name].value)
+        fix, usable = receiver.read_all(mission.streams[fixes].value)
+        time_s, at_s = mission.streams[name].time_s[good], mission.streams[fixes].time_s
+        usable = usable & np.isfinite(fix[:, 2])
+        if time_s.size < 10 or not np.any(usable := usable & (at_s >= time_s[0]) & (at_s <= time_s[-1])):
+            continue
+        arms_m = gauge.lever_arm_b_m[2] - receiver.lever_arm_b_m[2]
+        below_m = np.interp(at_s[usable], time_s, depth[good, 0])
+        off_m = float(np.median(fix[usable, 2] + below_m)) - gauge.surface_height_m - arms_m
+        blocks = [model.block(1.0) for model in (receiver.models[2], *gauge.models)]
+        known_m = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks) + gauge.offset_sd_m**2)
+        if np.count_nonzero(usable) < 10 or abs(off_m) < max(_STANDS_OUT * known_m, _SURFACE_M):
+            continue
+        text = f"its heights are {abs(off_m):.1f} m {'above' if off_m > 0.0 else 'below'} where {name} has the antenna."
+        cure = "Heights above the ellipsoid, and depths below the sea? Then the sea is at"
+        cure += f" surface_height_m = {gauge.surface_height_m + off_m:.1f} in [sensors.{name}]. Or have no height read:"
+        cure += f" antenna_height_m in [sensors.{fixes}]"
+        yield Finding("warning", fixes, text, f"{cure}, how far above the sea it is.")
 
 
 def _off_at_the_surface(time_s: Array, depth_m: Array, at_s: Array) -> float | None:
