@@ -131,7 +131,7 @@ MISTAKES: dict[str, Mistake] = {
     "GPS: 0, 0 while there is no fix": _nowhere,
     "GPS: held readings": _held,
     "GPS: west positive": values("gps", columns(1, -1, 1)),
-    "GPS: heights above the ellipsoid, depths below the sea": values("gps", lambda v: v + [0.0, 0.0, -27.0]),
+    "GPS: heights above the ellipsoid, depths below the sea": values("gps", lambda v: v - np.array([0, 0, 27])),
     "vehicle: compass 0.6 rad instead of 0.6 deg": described(compass=GaussMarkov(sd=0.6, tau_s=30.0)),
     "vehicle: DVL 0.01 mm/s": described(dvl=White(sd=1e-5)),
     "vehicle: gyro in deg/h read as rad/s": described(gyro=White(density=0.3)),

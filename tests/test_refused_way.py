@@ -230,6 +230,10 @@ def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
     assert gating.state_contradicted(channels.values(), 100.0)
     # what grows as the square of the time is twice its mean velocity
     assert np.sqrt(gating.reset_variance([gps], 100.0)[3]) == pytest.approx(2.0 + 80.0 / 11.0)
+    # a tilt that has taken it so far was 2 d / (g t^2); what fixes say of the heading a compass knows better
+    assert np.sqrt(gating.reset_variance([gps], 100.0)[6:]) == pytest.approx([80.0 / (9.81 * 11.0**2)] * 2 + [1.0])
+    channels["compass"].memory.agreed_s = 50.0
+    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[6:])[2] == 0.0
     assert not gating.state_contradicted(channels.values(), 98.0)
     # not where a velocity is heard, or drives; nor fixes that have jumped
     assert not gating.state_contradicted(channels.values(), 100.0, inertial=False)

@@ -1,5 +1,5 @@
-"""Compare depth, fixes and velocity: a depth that counts up, heights of another system, a velocity whose z axis points up
-or whose y axis points left.
+"""Compare depth, fixes and velocity: a depth that counts up, heights of another system, a velocity whose z axis points
+up or whose y axis points left.
 """
 
 from __future__ import annotations

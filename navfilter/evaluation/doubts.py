@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,6 +81,8 @@ class Limits:
 LIMITS = Limits()
 #: Faults of a drive's axes that no unit has for a moment: the description of its file is wrong.
 DESCRIBED_WRONGLY = frozenset({"wrong-unit", "gravity", "swapped"})
+#: An axis that is the worst of so many of the rejected readings is named [1].
+MOSTLY = 0.8
 #: So often axes are contradicted where all six were left out three times [1]: a bias that has shifted is learnt after
 #: the first, what fails again and again is broken, or its signs and axes are.
 CONTRADICTED = 18
@@ -272,12 +274,27 @@ def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Fi
         else ""
     )
     if r.count("rejected") >= limits.least and share > limits.rejected[0]:
-        much = f"{100 * share:.0f} % of its readings were rejected{_typically(r)}"
+        much = f"{100 * share:.0f} % of its readings were rejected{_typically(r, run.vehicle.sensors[name].axis_names)}"
         text = f"{much}: they contradict the others, or vehicle.toml.{widened}"
         yield Finding(_grade(share, limits.rejected), name, text, _CHECK)
     elif widened:
         cure = f"Replay with --without {name} and see whether the others then agree."
         yield Finding("warning", name, widened.strip(), cure)
+    yield from _left_out_alone(name, run, r, limits)
+
+
+def _left_out_alone(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Finding]:
+    """A component of many readings that contradicted the others, and was left out without them."""
+    used = r.used
+    if np.count_nonzero(used) < limits.least:
+        return
+    alone = np.isfinite(r.value[used]) & ~np.isfinite(r.sd[used])
+    for axis, share in enumerate(alone.mean(axis=0).tolist()):
+        if share > limits.rejected[0]:
+            sensor = run.vehicle.sensors[name]
+            off = abs(float(np.median(r.value[used][alone[:, axis], axis])))
+            text = f"{sensor.axis_names[axis]} was left out of {100 * share:.0f} % of the readings used,"
+            yield Finding("warning", name, f"{text} typically {off:.3g} {sensor.unit} off.", _CHECK)
 
 
 def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: bool) -> Iterator[Finding]:
@@ -335,11 +352,15 @@ def _lost(name: str, r: Residuals, limits: Limits) -> Iterator[Finding]:
             yield Finding("warning", name, f"{r.count(outcome)} of {len(r.time_s)} readings {text}", cure)
 
 
-def _typically(r: Residuals) -> str:
-    """How far off the rejected readings were, on their worst axis."""
+def _typically(r: Residuals, axes: Sequence[str]) -> str:
+    """How far off the rejected readings were on their worst axis, and which that mostly is, if there is one."""
     off = np.abs(r.value / r.sd)[r.outcome == OUTCOMES.index("rejected")]
-    worst = np.nanmax(np.where(np.isfinite(off), off, 0.0), axis=1)
-    return f", typically {np.median(worst):.0f} predicted sd off" if worst.size else ""
+    if not len(off):
+        return ""
+    off = np.where(np.isfinite(off), off, 0.0)
+    worst = int(np.argmax(np.bincount(off.argmax(axis=1), minlength=off.shape[1])))
+    alone = off.shape[1] > 1 and np.mean(off.argmax(axis=1) == worst) > MOSTLY
+    return f", typically {np.median(off.max(axis=1)):.0f} predicted sd off{f' {axes[worst]}' if alone else ''}"
 
 
 def _longest_rejection(r: Residuals) -> float:

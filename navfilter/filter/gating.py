@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.constants import ROUND_GRAVITY
 from navfilter.filter.channel import Channel
 
 __all__ = ["Widening", "reset_variance", "state_contradicted", "whole_heading", "whole_residual", "widening"]
@@ -101,18 +102,27 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
     time_s : float
         Now [s].
     """
-    largest, agree = np.zeros(6), set()
+    largest, agree, opened = np.zeros(6), set(), np.zeros(3)
     for channel in channels:
         agree |= {channel.sensor.corrects} if channel.memory.agrees else set()
         since_s = channel.memory.rejected_since_s
         if not math.isnan(since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
             largest = np.maximum(largest, np.where(seen, _off(channel), 0.0))
+            attitude = OPEN_ATTITUDE
             if _goes_away(channel):
                 # what grows as the square of the time
-                largest[3:] = np.maximum(largest[3:], 2.0 * _off(channel) / max(time_s - since_s, channel.period_s))
-    turned = 0.0 if {"heading", "velocity"} <= agree else 1.0
-    spread = np.concatenate([largest + OPEN_MOTION, turned * OPEN_ATTITUDE])
+                span_s = max(time_s - since_s, channel.period_s)
+                largest[3:] = np.maximum(largest[3:], 2.0 * _off(channel) / span_s)
+                # a tilt that has not done more has not been larger
+                tilt = 2.0 * _off(channel) / (ROUND_GRAVITY * span_s**2)
+                attitude = np.minimum([tilt, tilt, math.inf], OPEN_ATTITUDE)
+            opened = np.maximum(opened, attitude)
+    if {"heading", "velocity"} <= agree:
+        opened[:] = 0.0
+    elif "heading" in agree:
+        opened[2] = 0.0
+    spread = np.concatenate([largest + OPEN_MOTION, opened])
     return np.asarray(spread**2)
 
 

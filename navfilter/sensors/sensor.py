@@ -85,6 +85,8 @@ class Sensor(Typed):
         term while the heading is hardly known.
     single_gates : bool
         A component that contradicts the others is left out alone, as long as more than half of them remain.
+    single : int or None
+        Only this one is; None: any.
     deviation : int or None
         Which of its parameters begin a deviation with the heading, that no reading tells from it: see
         `kalman.turn_deviation`.
@@ -147,6 +149,7 @@ class Sensor(Typed):
     reads_rate: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
+    single: ClassVar[int | None] = None
     hidden: ClassVar[bool] = False
     deviation: ClassVar[int | None] = None
     single_s: ClassVar[float] = math.inf
