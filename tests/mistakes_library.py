@@ -109,6 +109,7 @@ def _sentinel(value: Any) -> Any:
 MISTAKES: dict[str, Mistake] = {
     "IMU: milliseconds read as seconds": clock("imu", scale=1e3),
     "IMU: clock one hour off": clock("imu", offset_s=3600.0),
+    "IMU: GPS time, 18 s ahead of the others' UTC": clock("imu", offset_s=18.0),
     "IMU: deg/s read as rad/s": values("imu", columns(1 / DEG, 1 / DEG, 1 / DEG, 1, 1, 1)),
     "IMU: g read as m/s^2": values("imu", columns(1, 1, 1, 1 / G, 1 / G, 1 / G)),
     "IMU: forward-left-up read as forward-right-down": values("imu", columns(1, -1, -1, 1, -1, -1)),
@@ -131,6 +132,7 @@ MISTAKES: dict[str, Mistake] = {
     "GPS: 0, 0 while there is no fix": _nowhere,
     "GPS: held readings": _held,
     "GPS: west positive": values("gps", columns(1, -1, 1)),
+    "GPS: GPS time, 18 s ahead of the others' UTC": clock("gps", offset_s=18.0),
     "GPS: heights above the ellipsoid, depths below the sea": values("gps", lambda v: v - np.array([0, 0, 27])),
     "vehicle: compass 0.6 rad instead of 0.6 deg": described(compass=GaussMarkov(sd=0.6, tau_s=30.0)),
     "vehicle: DVL 0.01 mm/s": described(dvl=White(sd=1e-5)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from navfilter.check.course_fit import MOST_DELAY_S, CourseFit, course_fit, paths_of, places_of
+from navfilter.check.far_clocks import far_finding, late_path_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import heading_of, unwrapped, vector
 from navfilter.mission import Array, Mission, Stream
@@ -51,6 +52,11 @@ def course_findings(
         places = places._replace(plane=places.plane + arm, exchanged=places.exchanged + arm)
         paths = paths_of(stream.time_s, v, heading, places)
         fit = None if paths is None else course_fit(paths)
+        if paths is not None and fit is not None and abs(fit.late_s) > MOST_DELAY_S - 0.01:
+            late_s = late_path_by(paths, fit.residual)
+            if late_s is not None:
+                yield from far_finding(name, f"the velocity is {{}} against the positions of {places.name}.", late_s)
+                return
         if fit is not None:
             compared = True
             magnetic = "field_x_T" in best.columns or (

@@ -12,7 +12,18 @@ from numpy.typing import NDArray
 from navfilter.check.series import factors, integral, jackknife, window_edges
 from navfilter.mission import Array, Mission
 
-__all__ = ["MOST_DELAY_S", "POLAR", "WINDOW_S", "CourseFit", "course_fit", "paths_of", "places_of", "without_gaps"]
+__all__ = [
+    "MOST_DELAY_S",
+    "POLAR",
+    "WINDOW_S",
+    "CourseFit",
+    "Paths",
+    "course_fit",
+    "paths_of",
+    "places_of",
+    "share",
+    "without_gaps",
+]
 
 Complex = NDArray[np.complex128]
 EARTH_RADIUS_M = 6.371e6
@@ -133,7 +144,7 @@ def without_gaps(edges: Array, *clocks: Array) -> Array:
     return edges
 
 
-def _share(way: Complex, wanted: Complex) -> tuple[float, complex]:
+def share(way: Complex, wanted: Complex) -> tuple[float, complex]:
     """What of the displacements stays unexplained (a share of their power), and the ratio that explains the rest."""
     ratio = complex(np.vdot(way, wanted) / max(float(np.vdot(way, way).real), 1e-12))
     return float(np.sum(np.abs(wanted - ratio * way) ** 2) / np.sum(np.abs(wanted) ** 2)), ratio
@@ -150,11 +161,11 @@ def course_fit(paths: Paths) -> CourseFit | None:
         return paths.body if side_sign > 0 else paths.body.conjugate()
 
     def fit(heading_sign: int, side_sign: int, late_s: float = 0.0) -> float:
-        return _share(paths.way(body(side_sign), late_s, heading_sign), wanted)[0]
+        return share(paths.way(body(side_sign), late_s, heading_sign), wanted)[0]
 
     plain = fit(1, 1)
     signs: tuple[int, int] = min(((h, s) for h in (1, -1) for s in (1, -1)), key=lambda hs: fit(*hs))
-    other = _share(paths.way(paths.body), paths.moved(paths.places.time_s, paths.places.exchanged))[0]
+    other = share(paths.way(paths.body), paths.moved(paths.places.time_s, paths.places.exchanged))[0]
     exchanged = 0 if other > 0.3 * plain else 1 if other > 0.5 * fit(*signs) else 2
     if paths.places.polar and other < plain:
         exchanged = 2
@@ -164,9 +175,9 @@ def course_fit(paths: Paths) -> CourseFit | None:
     late = float(min(np.linspace(-MOST_DELAY_S, MOST_DELAY_S, 61), key=lambda shift: fit(*signs, float(shift))))
     way = paths.way(body(signs[1]), late, signs[0])
     # Outliers among the fixes: five times the median is beyond any noise.
-    left = np.abs(wanted - _share(way, wanted)[1] * way)
+    left = np.abs(wanted - share(way, wanted)[1] * way)
     kept = left <= 5.0 * float(np.median(left))
-    residual, ratio = _share(way[kept], wanted[kept])
+    residual, ratio = share(way[kept], wanted[kept])
     _, spread = jackknife(lambda rows: _relative(way[kept][rows], wanted[kept][rows], ratio), int(kept.sum()))
     wander = _wander(paths)
     sd = (math.hypot(spread[0], wander), math.hypot(spread[1], wander))
@@ -174,12 +185,12 @@ def course_fit(paths: Paths) -> CourseFit | None:
     # Held and interpolated readings are half a step off by themselves.
     shortest = max(0.25, 0.5 * max(float(np.median(np.diff(t))) for t in (paths.time_s, paths.places.time_s)))
     speed = math.sqrt(power / paths.edges.size) / WINDOW_S
-    plain = _share(paths.way(body(signs[1]), 0.0, signs[0])[kept], wanted[kept])[0]
+    plain = share(paths.way(body(signs[1]), 0.0, signs[0])[kept], wanted[kept])[0]
     return CourseFit(*signs, ratio, sd, side, side_sd, late, residual, plain, speed, shortest, exchanged)
 
 
 def _relative(way: Complex, wanted: Complex, ratio: complex) -> Array:
-    own = _share(way, wanted)[1] / ratio
+    own = share(way, wanted)[1] / ratio
     return np.array([own.real, own.imag])
 
 

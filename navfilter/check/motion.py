@@ -12,6 +12,7 @@ import numpy as np
 from navfilter.check.amounts import counted
 from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
+from navfilter.check.far_clocks import far_finding, late_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
 from navfilter.check.vertical import (
@@ -32,6 +33,8 @@ EARTH_RADIUS_M = 6.371e6
 LITTLE = 0.5
 #: Delays up to this are looked for [s].
 MOST_DELAY_S = 2.5
+#: Correlation from which on a heading follows a gyro, whatever is wrong beside.
+FOLLOWS = 0.95
 
 
 def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
@@ -203,6 +206,11 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
         return
     turned = imu.time_s, integral(imu.time_s, vector(imu, "rate_x_rad_s")[:, 2])
     match = _match(turned, heading, window_s=2.0, most_s=MOST_DELAY_S)
+    if match is None or match.correlation < FOLLOWS:
+        late_s = late_by(turned, heading, window_s=2.0)
+        if late_s is not None:
+            yield from far_finding(name, f"the heading is {{}} against {gyro}.", late_s)
+            return
     if match is None or abs(match.correlation) < LITTLE:
         yield Finding("info", name, f"turns too little to compare the heading with {gyro}.")
         return

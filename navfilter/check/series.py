@@ -17,6 +17,8 @@ def vector(stream: Stream, first: str) -> Array:
     return stream.value[:, start : start + 3]
 
 
+#: Times and values.
+Series = tuple[Array, Array]
 #: More windows than these say nothing new and take long.
 MOST_WINDOWS = 20_000
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from navfilter.check.course import SURE, mirrored_finding, mounting_of
 from navfilter.check.course_fit import WINDOW_S, without_gaps
+from navfilter.check.far_clocks import far_finding, late_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import factors, integral, vector, window_edges
 from navfilter.constants import ROUND_GRAVITY
@@ -140,6 +141,10 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
     roll, pitch = sines
     level = np.sqrt(1.0 - pitch**2)
     sunk = integral(time_s, np.column_stack([-pitch * v[:, 0], level * (v[:, 2] + roll * v[:, 1])]))
+    late_s = late_by((time_s, sunk.sum(axis=1)), (depth_time_s, depth_m), WINDOW_S)
+    if late_s is not None:
+        yield from far_finding(depth[0], f"the depth is {{}} against what {name} and the tilt say of it.", late_s)
+        return
     X = np.column_stack([_increments(edges, time_s, sunk[:, k]) for k in range(2)])
     y = _increments(edges, depth_time_s, depth_m)
     if float(np.std(y)) < _LITTLE_M:
