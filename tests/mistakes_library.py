@@ -99,6 +99,15 @@ def _minutes(value: Any) -> Any:
     return value
 
 
+def _of_the_earth(vehicle: Vehicle, mission: Mission) -> Spoiled:
+    """East, north, up, as an instrument with a compass of its own gives them."""
+    compass, dvl = mission.streams["compass"], mission.streams["dvl"]
+    heading = np.interp(dvl.time_s, compass.time_s, np.unwrap(compass.value[:, 0]))
+    turned = (dvl.value[:, 0] + 1j * dvl.value[:, 1]) * np.exp(1j * heading)
+    value = np.column_stack([turned.imag, turned.real, -dvl.value[:, 2]])
+    return vehicle, mission.with_stream("dvl", replace(dvl, value=value))
+
+
 def _sentinel(value: Any) -> Any:
     """-32768 mm/s, where the bottom is lost, taken for a velocity."""
     value[np.isnan(value).any(axis=1)] = -32.768
@@ -118,6 +127,7 @@ MISTAKES: dict[str, Mistake] = {
     "DVL: mirrored (y to the left)": values("dvl", columns(1, -1, 1)),
     "DVL: mounted at 45 deg, not said": values("dvl", turned(45.0)),
     "DVL: forward and starboard exchanged": values("dvl", lambda v: v[:, [1, 0, 2]]),
+    "DVL: east, north, up instead of forward, right, down": _of_the_earth,
     "DVL: velocity of the bottom, not over it": values("dvl", columns(-1, -1, -1)),
     "DVL: -32768 is no velocity, not said": values("dvl", _sentinel),
     "DVL: 2 s late": clock("dvl", offset_s=2.0),

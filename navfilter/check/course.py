@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from navfilter.check.course_fit import MOST_DELAY_S, CourseFit, course_fit, paths_of, places_of
+from navfilter.check.course_fit import (
+    MOST_DELAY_S,
+    CourseFit,
+    axes_of_the_earth,
+    course_fit,
+    paths_of,
+    places_of,
+)
 from navfilter.check.far_clocks import far_finding, late_path_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import heading_of, unwrapped, vector
@@ -20,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
+#: A velocity that leaves more of the positions' way unexplained does not follow them [1].
+LOOSE = 0.25
 
 
 def course_findings(
@@ -57,6 +66,14 @@ def course_findings(
             if late_s is not None:
                 yield from far_finding(name, f"the velocity is {{}} against the positions of {places.name}.", late_s)
                 return
+        earth = axes_of_the_earth(paths) if paths is not None and fit is not None and fit.residual > LOOSE else ""
+        if earth:
+            text = (
+                f"its axes are {earth}: it follows the positions of {places.name} without being turned by the heading."
+            )
+            cure = "The filter needs the velocity in the axes of the instrument or the vehicle: have it recorded so"
+            yield Finding("error", name, text, f"{cure} (of a DVL: instrument or ship coordinates, not earth).")
+            return
         if fit is not None:
             compared = True
             magnetic = "field_x_T" in best.columns or (
@@ -95,7 +112,7 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         text = "the course over ground fits the velocity only with latitude and longitude exchanged."
         yield Finding("error", streams.position, text, f"Exchange the first two columns of position in {where}.")
         return
-    if fit.residual > 0.25:
+    if fit.residual > LOOSE:
         text = f"velocity turned by {heading} does not follow the position (unexplained {100 * fit.residual:.0f} %)."
         yield Finding("warning", name, text, "Check the axes of the velocity, the heading and the clocks.")
         return

@@ -18,6 +18,7 @@ __all__ = [
     "WINDOW_S",
     "CourseFit",
     "Paths",
+    "axes_of_the_earth",
     "course_fit",
     "paths_of",
     "places_of",
@@ -33,6 +34,8 @@ POLAR = math.radians(75.0)
 MOST_DELAY_S = 3.0
 #: Displacements are compared over windows of this length [s].
 WINDOW_S = 10.0
+#: What a velocity that is not of the body leaves unexplained at most [1].
+UNTURNED = 0.1
 #: By how much the error of satellite fixes wanders within minutes [m].
 FIX_WANDER_M = 3.0
 
@@ -187,6 +190,17 @@ def course_fit(paths: Paths) -> CourseFit | None:
     speed = math.sqrt(power / paths.edges.size) / WINDOW_S
     plain = share(paths.way(body(signs[1]), 0.0, signs[0])[kept], wanted[kept])[0]
     return CourseFit(*signs, ratio, sd, side, side_sd, late, residual, plain, speed, shortest, exchanged)
+
+
+def axes_of_the_earth(paths: Paths) -> str:
+    """Which of the Earth's axes those of a velocity are, that follows the positions without being turned; or none."""
+    wanted, found = paths.moved(paths.places.time_s, paths.places.plane), []
+    for name, velocity in (("north, east", paths.body), ("east, north", 1j * paths.body.conjugate())):
+        way = integral(paths.time_s, velocity.view(float).reshape(-1, 2)) @ np.array([1.0, 1j])
+        left, ratio = share(paths.moved(paths.time_s, way), wanted)
+        found.append((left, name if ratio.real > abs(ratio.imag) else ""))
+    left, name = min(found)
+    return name if left < UNTURNED else ""
 
 
 def _relative(way: Complex, wanted: Complex, ratio: complex) -> Array:

@@ -15,7 +15,7 @@ from navfilter.check.course import SURE, mirrored_finding, mounting_of
 from navfilter.check.course_fit import WINDOW_S, without_gaps
 from navfilter.check.far_clocks import far_finding, late_by
 from navfilter.check.finding import Finding
-from navfilter.check.series import factors, integral, vector, window_edges
+from navfilter.check.series import correlation, factors, integral, vector, window_edges
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
 
@@ -26,10 +26,14 @@ if TYPE_CHECKING:
 _SURFACE_M = 2.0
 #: An antenna that nobody has described is so near the water where it has a fix [m].
 _MAST_M = 0.5
+#: The sea is nowhere so far from the ellipsoid [m].
+_GEOID_M = 120.0
 #: An offset stands out beyond so many standard deviations of what is described [1].
 _STANDS_OUT = 2.5
 #: So far from any fix in time the vehicle is said to be without [s], and so much deeper it must be then [m].
 _WITHOUT_S, _DEEPER_M = 30.0, 1.0
+#: Correlation from which on a depth follows a velocity; and the ratio of two units, at least, as a logarithm [1].
+_FOLLOWS, _OTHER_UNIT = 0.9, 0.4
 #: Depth changes of less than this in a window say nothing [m].
 _LITTLE_M = 0.1
 
@@ -97,7 +101,7 @@ def height_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
         off_m = float(np.median(fix[usable, 2] + below_m)) - gauge.surface_height_m - arms_m
         blocks = [model.block(1.0) for model in (receiver.models[2], *gauge.models)]
         known_m = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks) + gauge.offset_sd_m**2)
-        if np.count_nonzero(usable) < 10 or abs(off_m) < max(_STANDS_OUT * known_m, _SURFACE_M):
+        if np.count_nonzero(usable) < 10 or not max(_STANDS_OUT * known_m, _SURFACE_M) < abs(off_m) < _GEOID_M:
             continue
         text = f"its heights are {abs(off_m):.1f} m {'above' if off_m > 0.0 else 'below'} where {name} has the antenna."
         cure = "Heights above the ellipsoid, and depths below the sea? Then the sea is at"
@@ -158,6 +162,25 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
     elif best[1] < -0.5 and best[1] + SURE * sd[1] < 0.0:
         cure = f'z is down: set axes = "x,-y,-z" in velocity of [streams.{name}] for forward, left, up.'
         yield Finding("error", name, f"the velocity says up where {depth[0]} says down: its z axis points up.", cure)
+    else:
+        yield from _scale_findings(depth[0], name, X.sum(axis=1), y)
+
+
+def _scale_findings(depth: str, velocity: str, sunk: Array, deeper: Array) -> Iterator[Finding]:
+    """A depth in another unit, or a pressure: it changes by more or less than the vehicle sinks."""
+    (scale,), (sd,) = factors(sunk[:, None], deeper)
+    if correlation(sunk, deeper)[0] > _FOLLOWS and abs(math.log(scale)) > max(_OTHER_UNIT, SURE * sd / scale):
+        text = f"the depth changes {scale:.3g} times as far as {velocity} and the tilt say."
+        known = {
+            3.281: '"ft"',
+            0.3048: "metres read as feet",
+            100.0: '"cm", or hPa: a pressure',
+            1000.0: '"mm"',
+            9.81: "kPa: a pressure",
+        }
+        guess = [f" Perhaps {unit}." for value, unit in known.items() if abs(scale / value - 1.0) < 0.05]
+        cure = f"Check the unit of depth in [streams.{depth}].{''.join(guess)} Or is it that of [streams.{velocity}]?"
+        yield Finding("error", depth, text, cure)
 
 
 def _tilt(time_s: Array, v: Array, mission: Mission) -> tuple[Array, Array] | None:
