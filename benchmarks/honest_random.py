@@ -24,6 +24,7 @@ from harness import Array, Options, Table, flag, main, quick
 from honest_constants import drawn
 from pygeomag import GeoMag
 from random_acoustics import acoustic
+from random_kinds import VELOCITIES, lost, norths, reckoned_sound, sound, velocities
 from random_reckoning import reckoning
 from random_vehicles import MOTIONS, between, chance, north, place, unit, velocity
 
@@ -38,6 +39,10 @@ BEGIN_S, ODD = 30.0, 5.0
 #: A horizontal field in which a compass hardly points [nT]; the model's own caution zone ends at 6000.
 STEEP_NT = (1000.0, 8000.0)
 WHAT = ("position", "velocity", "attitude", "heading")
+#: Vehicles with several instruments for one thing, see `random_kinds`.
+KINDS = {"velocities": velocities, "norths": norths, "sound": sound, "reckoned-sound": reckoned_sound}
+#: A unit is not lost under water beside one of them.
+CARRIES = {*VELOCITIES, "dvl2", "beams2", "water2", "wheels2", "usbl", "ranges"}
 
 
 @dataclass(frozen=True)
@@ -50,13 +55,25 @@ class Case:
     duration_s: float
     fixes: str
     start: StartErrors
+    loses: bool = False
 
     @classmethod
     def of(cls, number: int, drive: str, magnetometer: str | None = None) -> Case:
         """That of a number, always the same."""
         if magnetometer:
             return cls.with_magnetometer(number, magnetometer == "steep")
+        if drive in KINDS:
+            return cls.of_a_kind(number, drive)
         return {"imu": cls.drawn, "dead-reckoning": cls.reckoned, "acoustic": cls.placed}[drive](number)
+
+    @classmethod
+    def of_a_kind(cls, number: int, kind: str) -> Case:
+        """One with several instruments for one thing."""
+        r = np.random.default_rng([number, 4])
+        vehicle, motion, way, duration_s = KINDS[kind](r)
+        surfaced = chance(r, 0.3) or motion == "boat" or not CARRIES & {*vehicle.sensors, "dvl" * (kind == "reckoned-sound")}
+        start = StartErrors(heading_sd_deg=between(r, 0.5, 8.0), tilt_sd_deg=between(r, 0.1, 1.0))
+        return cls(vehicle, motion, way, duration_s, "always" if surfaced else "surface", start, kind == "velocities")
 
     @classmethod
     def reckoned(cls, number: int) -> Case:
@@ -111,7 +128,9 @@ class Case:
         if "bottom" in self.vehicle.sensors:  # within reach for the first and the last quarter
             quarter_s = 0.25 * self.duration_s
             faults["bottom"] = Faults(dropouts=((quarter_s, 3.0 * quarter_s),))
-        return simulate(self.vehicle, self.way, seed=seed, duration_s=self.duration_s, start=self.start, faults=faults)
+        given = {"seed": seed, "duration_s": self.duration_s, "start": self.start, "faults": faults}
+        mission = simulate(self.vehicle, self.way, **given)
+        return lost(self.vehicle, mission, np.random.default_rng([seed, 5])) if self.loses else mission
 
     def learns(self, number: int) -> nf.Vehicle:
         """The vehicle with all errors learnt that are not white, from a prior that is wrong."""
@@ -189,7 +208,7 @@ if __name__ == "__main__":
     flags = [
         flag("--cases", type=int, default=200, help="how many"),
         flag("--first", type=int, default=10_000, help="number of the first"),
-        flag("--drive", choices=["imu", "dead-reckoning", "acoustic"], default="imu", help="what drives"),
+        flag("--drive", choices=["imu", "dead-reckoning", "acoustic", *KINDS], default="imu", help="what drives"),
         flag("--magnetometer", choices=["anywhere", "steep"], help="only those with one; steep: near a magnetic pole"),
         flag("--again", type=int, default=5, help="other missions of an odd one"),
         flag("--learn", action="store_true", help="with errors that are learnt"),

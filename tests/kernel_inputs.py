@@ -102,7 +102,8 @@ def readings(rng, nav):
     place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
     return [
         (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4, 6), 3),
-        (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6, 8), 3),
+        (measurement.water_velocity, rng.normal(size=3), np.append(mounted, 2.0), (2, 6, 8), 3),
+        (measurement.water_velocity, rng.normal(size=3), np.append(mounted, 6.0), (6, 10, 12), 3),
         (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
         (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
         (measurement.magnetometer, FIELD, np.array([0.1, 20.0, -1.0, -1.0]), (0, 6), 1),

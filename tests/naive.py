@@ -1288,10 +1288,12 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
 
 
 def water_velocity(z, nav, rate, par, cfg, H, res):
-    relative, current, plain = nav.copy(), np.array([par[0], par[1], 0.0]), np.zeros((3, 9 + len(par) - 2))
+    first = int(cfg[12])
+    relative, current, plain = nav.copy(), np.array([par[0], par[1], 0.0]), np.zeros((3, 9 + len(par) - first))
     relative[3:6] -= current
-    body_velocity(z, relative, rate, par[2:], cfg, plain, res)
-    H[:, :9], H[:, 9:11], H[:, 11:] = plain[:, :9], -plain[:, 3:5], plain[:, 9:]
+    body_velocity(z, relative, rate, par[first:], cfg, plain, res)
+    H[:, :9], H[:, 9:11], H[:, 11 : 9 + first] = plain[:, :9], -plain[:, 3:5], 0.0
+    H[:, 9 + first :] = plain[:, 9:]
 
 
 # ---------------------------------------------------------------- kernels/measurement.py: beams of a DVL
@@ -1303,7 +1305,7 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
     current[:first] = par[:first]
     over, through, gap = np.zeros((3, 9 + len(par) - first)), np.zeros((3, 11 + len(par) - first)), np.zeros((2, 3))
     body_velocity(still, nav, rate, par[first:], cfg, over, gap[0])
-    water_velocity(still, nav, rate, np.concatenate([current, par[first:]]), cfg, through, gap[1])
+    water_velocity(still, nav, rate, np.concatenate([current, par[first:]]), np.append(cfg[:12], 2.0), through, gap[1])
     H[:4] = D @ np.insert(over, [9] * first, 0.0, axis=1)
     H[4:] = D @ np.delete(through, [9, 10][: 2 - first], axis=1)
     res[:] = z[:8] + np.concatenate([D @ gap[0], D @ gap[1]])

@@ -87,7 +87,7 @@ def test_signs_of_the_residuals():
     # water that flows east at 0.5 m/s carries a third of that speed: eastward, the log reads 1.5 m/s; a current north
     # comes from port
     flow = np.array([0.25, 0.5])
-    _, res = evaluate(measurement.water_velocity, np.array([1.5, 0.25, 0.0]), state, still, flow, plain, 3)
+    _, res = evaluate(measurement.water_velocity, np.array([1.5, 0.25, 0.0]), state, still, flow, np.append(plain, 2.0), 3)
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
     # declination east: a magnetic compass reads less than the true heading
     _, res = evaluate(

@@ -224,10 +224,10 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
 
 @njit(cache=True, **UNCOUNTED)
 def water_velocity(z, nav, rate, par, cfg, H, res):
-    """As `body_velocity`, but through water that moves: v_n less the current. par: current north, east, then as
-    there.
+    """As `body_velocity`, but through water that moves: v_n less the current. par: current north, east, what else their
+    models consist of, then as there from cfg[12] on.
     """
-    _instrument_velocity(z, nav, nav[3] - par[0], nav[4] - par[1], nav[5], rate, par, int(2), cfg, H, res)
+    _instrument_velocity(z, nav, nav[3] - par[0], nav[4] - par[1], nav[5], rate, par, int(cfg[12]), cfg, H, res)
     for i in range(3):
         H[i, 9], H[i, 10] = -H[i, 3], -H[i, 4]
 

@@ -200,7 +200,7 @@ class DeadReckoning(Mechanisation):
         if "velocity.scale_x" in names:
             drv[strapdown.SCALE], drv[strapdown.SCALE_STEP] = first_parameter + names.index("velocity.scale_x"), 1.0
         sensor = self.velocity_sensor
-        drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
+        drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)[:12]  # type: ignore[arg-type]  # the same for any start
         if start is not None:
             drv[strapdown.DECLINATION] = self.declination(start)
         drv[strapdown.SPREAD : strapdown.SPREAD + 6] = self._spread()

@@ -224,13 +224,17 @@ class Usbl(Sensor):
             "misalignment": tuple(Parameter(f"misalignment_{axis}", self.misalignment_sd_rad, "rad") for axis in "xyz"),
         }
 
+    def aboard(self, t: Array) -> Array:
+        """Roll, pitch and heading of a simulated ship [rad], at times from the first on [s], shape (n, 3)."""
+        return np.column_stack([0.05 * np.sin(0.6 * t), 0.03 * np.sin(0.5 * t), 0.5 + 0.3 * np.sin(0.02 * t)])
+
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """From a ship that follows at a knot and yaws, 50 m off the vehicle's first place."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 
         t = here.time_s - here.time_s[0]
         latitude, longitude = here.latitude[0] + (50.0 + 0.3 * t) / 6.37e6, here.longitude[0] - 0.4 * t / 6.37e6
-        attitude = np.column_stack([0.05 * np.sin(0.6 * t), 0.03 * np.sin(0.5 * t), 0.5 + 0.3 * np.sin(0.02 * t)])
+        attitude = self.aboard(t)
         height = truth.surface_height_m + 0.3 * np.sin(0.5 * t)
         turn = matrix_from_euler(*attitude.T)
         axes = _axes(latitude, longitude)

@@ -303,6 +303,10 @@ class WaterVelocity(BodyVelocity):
         hidden = (p for name, block in blocks.items() for p in hidden_states(name, block, "m_s"))
         return (*current, *hidden, *super().parameters())
 
+    def constants(self, start: Start) -> Array:
+        """Also how many states are of the current."""
+        return np.concatenate([super().constants(start), [self.held()[0]]])
+
     def wandering(self) -> dict[str, ErrorModel]:
         """The current."""
         current = self.current or GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
