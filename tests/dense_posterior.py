@@ -131,6 +131,11 @@ class Capture:
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.velocity_turn(change, self.n) @ chain[-1].G
 
+    def turn_current(self, P, K, res, first):
+        kalman.turn_current(P, K, res, first)
+        for chain in (self.steps, self.samples):
+            chain[-1].G = naive.current_turn(K, res, first) @ chain[-1].G
+
     def predict(self, P, nav, x, acc, model, mem, dims, count):
         m, b, start = dims[2:5]
         self._flush()

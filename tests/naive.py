@@ -845,7 +845,7 @@ def discount_heading(P, acc, nav, own, work=None):
     J[:, 8] = 0.0
     variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]
     square = np.sum(acc[3:5, 8] ** 2)
-    if own and turns_along(P, nav[3:5] - [acc[4, 8], -acc[3, 8]]):
+    if own > 1 or (own and turns_along(P, nav[3:5] - [acc[4, 8], -acc[3, 8]])):
         return
     acc[[0, 1, 3, 4], 8] *= 1.0 - variance / square if square > variance else 0.0
 
@@ -920,6 +920,18 @@ def deviation_turn(K, res, first):
     return G
 
 
+def turn_current(P, K, res, first):
+    G = current_turn(K, res, first)
+    P[:] = G @ P @ G.T
+
+
+def current_turn(K, res, first):
+    """How the errors of a current change that turns with the heading, as the velocity does."""
+    G, (north, east) = np.eye(len(K)), K[first : first + 2] @ res
+    G[first : first + 2, 8] = -east, north
+    return G
+
+
 def correct(P, nav, x, res, S, PH, K, turn, T=None):
     n, a = K.shape
     K[:] = PH.T @ S[a:]
@@ -983,7 +995,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
         out[2] = fits_without_some(P, H.copy(), res.copy(), np.isnan(out[3 : 3 + a]), H, R, S, PH, res, out, limits)
     if out[2]:
         correct(P, nav, x, res, S, PH, K, mem[at[4] : at[4] + 1])
-        if dims[7]:
+        if dims[7] > 0:
             turn_deviation(P, K[:, 0], res[0], dims[7])
         mem[at[2] : at[3]] = S[a:].ravel()
 
@@ -1016,7 +1028,8 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     parts = np.split(record[: sum(sizes)], np.cumsum(sizes)[:-1])
     if a:
         H, K, Sinv = parts[2].reshape(a, n), parts[3].reshape(n, a), parts[4].reshape(a, a)
-        turned = deviation_turn(K[:, 0], parts[5][0], deviation) if deviation else np.eye(n)
+        turned = deviation_turn(K[:, 0], parts[5][0], deviation) if deviation > 0 else np.eye(n)
+        turned = current_turn(K, parts[5], -deviation) if deviation < 0 and parts[6][1:].any() else turned
         D = turned @ velocity_turn(parts[6][1:], n) @ attitude_reset(parts[6][0], n) @ (np.eye(n) - K @ H)
         lam[:] = D.T @ lam - H.T @ Sinv @ parts[5]
         L[:] = D.T @ L @ D + H.T @ Sinv @ H
@@ -1933,9 +1946,11 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     change = mem[places_[4] + 1 : places_[5]]
     change[:] = 0.0
     if mem[places_[8] + 2]:
-        drv[142] = max(drv[142], moves)
+        drv[142] = max(drv[142], moves * (2 if dims[7] < 0 else 1))
         if moves or turns:
             turn_velocity(P, nav, velocity, change)
+            if dims[7] < 0:
+                turn_current(P, mem[places_[1] : places_[2]].reshape(n, a), res, -dims[7])
     if mem[places_[8] + 2]:
         K, S = mem[places_[1] : places_[2]].reshape(n, a), mem[places_[5] : places_[6]].reshape(2 * a, a)
         if seen and bench[facts]:

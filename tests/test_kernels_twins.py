@@ -638,7 +638,7 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "deviation"), [(0, 0, 0), (0, 4, 0), (1, 0, 0), (1, 0, 12), (1, 4, 11), (3, 4, 0), (4, 0, 0), (8, 4, 0)]
+    ("a", "b", "deviation"), [(0, 0, 0), (0, 4, 0), (1, 0, 0), (1, 0, 12), (1, 4, 11), (3, 4, 0), (3, 0, -11), (4, 0, 0), (8, 4, 0)]
 )
 def test_smoother_kernels(a, b, deviation):
     rng = np.random.default_rng(7)
@@ -668,7 +668,7 @@ def test_smoother_kernels(a, b, deviation):
 def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
     rng = np.random.default_rng(17)
     n, m, q = 14, 10, len(holds)
-    kinds = [(0, m, 0, 0, 0), (1, m, 2, 11, 10), (3, 0, 0, 0, 0), (2, m, 3, 10, 0)]
+    kinds = [(0, m, 0, 0, 0), (1, m, 2, 11, 10), (3, 0, 0, 0, -11), (2, m, 3, 10, 0)]
     parts = [
         np.concatenate(
             [

@@ -148,9 +148,11 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     kalman.update(P, nav, memory.x, C, R, channel.mem, channel.dims, gate)
     channel.change[:] = 0.0
     if channel.verdict[2]:
-        own[0] = max(own[0], moves)
+        own[0] = max(own[0], moves * (2.0 if channel.dims[7] < 0 else 1.0))
         if moves or turns:
             kalman.turn_velocity(P, nav, before, channel.change)
+            if channel.dims[7] < 0:
+                kalman.turn_current(P, channel.K, channel.res, -channel.dims[7])
         withhold(memory, channel, drive_output)
 
 

@@ -223,8 +223,10 @@ class Channel:
         # of the very same sensor and states only the place is another
         if not (before and before[0] is sensor and before[1] is group.Phi and np.array_equal(variance, self._turned)):
             self._describe(sensor, group, b, variance)
-        deviation = 0 if sensor.deviation is None else group.start + group.errors + sensor.deviation
-        self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, deviation])
+        turned = -layout.current_of(self.name)
+        if sensor.deviation is not None:
+            turned = group.start + group.errors + sensor.deviation
+        self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, turned])
         at = kalman.places(self.dims)
         self.places, self.record_size = np.array(at), at[5]
         self._ends = at[-1] + np.cumsum([0, *self._sizes])

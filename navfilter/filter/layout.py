@@ -286,6 +286,13 @@ class Layout:
         """Units of the same states."""
         return self.drive.units + tuple(unit for g in self.groups.values() for unit in g.units)
 
+    def current_of(self, name: str) -> int:
+        """Where the current of this sensor begins, or that of the first which has one; 0: none has."""
+        for key in (name, *self.groups):
+            if f"{key}.current_north" in self.groups[key].names:
+                return self.groups[key].start + self.groups[key].names.index(f"{key}.current_north")
+        return 0
+
     @cached_property
     def constants(self) -> tuple[NDArray[np.intp], Array, Array]:
         """Places of all constant states that are not known for certain, their means and variances at the start."""

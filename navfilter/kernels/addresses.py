@@ -82,9 +82,10 @@ SAMPLE = (_MATRIX_OF_PLACES, _TABLE, types.float64, types.float64, types.int64)
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
 #: The same for `navfilter.kernels.listen.told_since`.
 TOLD_SINCE = (_ROW, _TABLE, _PLACES, _ROW, _TABLE, types.float64, _TABLE, _TABLE)
-#: The same for `navfilter.kernels.kalman.turns_along` and `turn_velocity`.
+#: The same for `navfilter.kernels.kalman.turns_along`, `turn_velocity` and `turn_current`.
 ALONG = (_TABLE, types.float64, types.float64)
 TURN = (_TABLE, _ROW, types.UniTuple(types.float64, 3), _ROW)
+TURN_CURRENT = (_TABLE, _TABLE, _ROW, types.int64)
 #: The same for `navfilter.kernels.kalman.smooth_run`.
 SMOOTH_RUN = (
     *(_TABLE, _ROW, _ROW, _PLACES, _MATRIX_OF_PLACES, _ROW, _PLACES, _PLACES, types.int64, types.int64),

@@ -300,10 +300,11 @@ def discount_heading(P, acc, nav, own, work):
     1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
 
     Not where the velocity turns with the heading before the fold, own: see `turns_along`. What was felt wrongly is in
-    that velocity, too, and turned by the same heading error.
+    that velocity, too, and turned by the same heading error. Nor beside a log (own 2): as much as is taken here from
+    what turns with the heading would be news to it, for it reads how the velocity changes in the vehicle's axes.
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
-    if own != 0.0 and turns_along(P, nav[3] - east, nav[4] + north):
+    if own > 1.0 or (own != 0.0 and turns_along(P, nav[3] - east, nav[4] + north)):
         return
     variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
     for axis in (3, 4):
@@ -824,8 +825,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
     rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
     first says more than which share of the components has to remain when single ones that contradict the others are
     left out, infinite: none ever is, -1 - i: only component i is. dims: those of `places`, then where a deviation
-    begins, see `turn_deviation`; 0: none. Leaves the verdict: NIS, components used, 1 if the state was corrected, then
-    residuals (NaN where missing) and their variances (NaN also where left out).
+    begins, see `turn_deviation`; 0: none (below it: of what the caller turns). Leaves the verdict: NIS, components used,
+    1 if the state was corrected, then residuals (NaN where missing) and their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
@@ -948,6 +949,37 @@ def turn_deviation(P, K, res, first):
             P[j, i] = s
 
 
+@njit(cache=True, **UNCOUNTED)
+def _carried(K, res, first):
+    """What turning by one does to the change of a current north and east: K (n, a), res (a,)."""
+    north, east = 0.0, 0.0
+    for r in range(len(res)):
+        north += K[first, r] * res[r]
+        east += K[first + 1, r] * res[r]
+    return -east, north
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def turn_current(P, K, res, first):
+    """With `turn_velocity`: a current, north and east from `first` on, turns with the heading as the velocity does.
+
+    A log knows the difference of the two in the vehicle's axes. What a reading makes of it is mostly a change of the
+    one that is known less, the current; did that not follow the heading, the next reading would tell the heading from
+    the noise of this one. K (n, a), res (a,): gain and residuals of the reading.
+    """
+    by = _carried(K, res, first)
+    n = P.shape[0]
+    for i in range(2):
+        for j in range(n):
+            P[first + i, j] += by[i] * P[8, j]
+    for i in range(2):
+        for j in range(n):
+            P[j, first + i] += by[i] * P[j, 8]
+    s = 0.5 * (P[first, first + 1] + P[first + 1, first])
+    P[first, first + 1], P[first + 1, first] = s, s
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
@@ -1019,8 +1051,8 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
     (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row.
-    `start` is the ticked block's place, b its size (0: none); deviation: see `turn_deviation`, 0: none. L (n, n) and
-    lam (n,) change; T work, n columns and three times as many rows, at least 3a.
+    `start` is the ticked block's place, b its size (0: none); deviation: see `turn_deviation`, or less the place of a
+    current, see `turn_current`; 0: none. L (n, n) and lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -1040,6 +1072,8 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
             lam[6] += y * w - z * v
             lam[7] += z * u - x * w
             lam[8] += x * v - y * u
+            if deviation < 0:
+                _current_transposed(L, lam, K, res, -deviation)
         if half != 0.0:
             _reset(L, -half)
             c, u, v = 1.0 - 2.0 * half * half / 3.0, lam[6], lam[7]
@@ -1089,6 +1123,21 @@ def _deviation_transposed(L, lam, K, res, first):
         for j in range(n):
             L[8, j] += by[i] * L[first + i, j]
     for i in range(4):
+        for j in range(n):
+            L[j, 8] += by[i] * L[j, first + i]
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def _current_transposed(L, lam, K, res, first):
+    """`turn_current` backward."""
+    by = _carried(K, res, first)
+    n = len(lam)
+    for i in range(2):
+        lam[8] += by[i] * lam[first + i]
+        for j in range(n):
+            L[8, j] += by[i] * L[first + i, j]
+    for i in range(2):
         for j in range(n):
             L[j, 8] += by[i] * L[j, first + i]
 

@@ -85,7 +85,7 @@ WAY, BLIND_S, LOST_S, SAME_ATTITUDE_S, SAME_VELOCITY_S, PREVIOUS_VELOCITY_B = 12
 # that was taken, for how long it is the last [s], negative before the first.
 ODD_HEADING, ODD_VELOCITY, GOOD_VELOCITY, GOOD_S = 136, 137, 138, 141
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
-# 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`.
+# 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`; 2: and there is a current.
 OWN = 142
 # Dead reckoning: how the vehicle goes on beyond the last sample, turning (3) [rad/s], and gaining velocity (3) [m/s^2],
 # in b, each followed by what it did between the last two readings (3); and by how much that was another before.

@@ -209,9 +209,11 @@ def correction(sources):
         change[0], change[1], change[2] = 0.0, 0.0, 0.0
         if mem[places[8] + 2] != 0.0:
             if moves:
-                drv[strapdown.OWN] = 1.0
+                drv[strapdown.OWN] = 2.0 if dims[7] < 0 else 1.0
             if moves or turns:
                 kalman.turn_velocity(P, nav, velocity, change)
+                if dims[7] < 0:
+                    kalman.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
         if mem[places[8] + 2] != 0.0:
             K, S = shaped(mem[places[1] : places[2]], n, a), shaped(mem[places[5] : places[6]], 2 * a, a)
             if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0:
