@@ -5,7 +5,7 @@ north, a receiver's velocity with clock and arm, sound from a ship that turns, a
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -132,7 +132,7 @@ def _ship(r: Random) -> nf.Usbl:
     as_others = usbl(r)
     across, below = (error(r, between(r, low, 0.06)) for low in (0.005, 0.002))
     angles = (as_others.models[0], across, below)
-    given = {name: getattr(as_others, name) for name in as_others.__dataclass_fields__ if name != "calibrated"}
+    given = {one.name: getattr(as_others, one.name) for one in fields(as_others)}
     return Ship(**{**given, "error": angles})
 
 

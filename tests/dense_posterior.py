@@ -168,7 +168,7 @@ class Capture:
                 mem[at[1] : at[2]].reshape(n, a).copy(),
             )
             step.G = naive.attitude_reset(mem[at[4]], n)
-            if dims[7]:
+            if dims[7] > 0:
                 step.G = naive.deviation_turn(step.K[:, 0], step.res[0], dims[7]) @ step.G
 
     def rows(self):
