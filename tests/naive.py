@@ -723,7 +723,8 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     res[:], H[:] = z[:3] - D @ y, 0.0
     H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
     if len(par):
-        by_scale, by_turn = np.diag(turn @ y), [scale @ change @ y for change in changes]
+        still = A @ C_bn @ nav[3:6]  # what the rate adds has the noise that the reading is compared with, too
+        by_scale, by_turn = np.diag(turn @ still), [scale @ change @ y for change in changes]
         H[:, 9:] = np.column_stack([by_scale if len(par) == 6 else by_scale.sum(axis=1), *by_turn])
 
 
