@@ -1722,7 +1722,7 @@ def pushed(P, nav, drv, Cr, pushes, work):
         pushes[:] = J @ P[6 : 9 + k, 6 : 9 + k] @ J.T
 
 
-def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, near, R):
+def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
     white = Cr[:, -1] * (drv[36] / over_s if gravity else 2.0 / max(over_s, drv[36]) ** 2)
     C = then[6:15].reshape(3, 3)
     turned, pushed = inner[:, 6:9] @ C, inner[:, 3:6] @ C
@@ -1731,7 +1731,7 @@ def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, nea
     told = near[:, -1].copy()
     stands_out = told**2 > 100.0 * noise
     left = np.where(stands_out, 100.0 * noise / np.where(stands_out, told, 1.0), told)
-    more = variance * (noise + left**2) + 0.5 * (variance * growth) ** 2
+    more = shared * variance * (noise + left**2) + 0.5 * (variance * growth) ** 2
     near[:, -1] -= left
     R += np.diag(np.where(np.isnan(told), 0.0, more))
 
@@ -1739,7 +1739,7 @@ def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, nea
 def sight(
     equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
 ):
-    arm, clock, turns, _, *by_arm = facts
+    arm, clock, turns, shared, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
     inner, base, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res)), np.zeros(len(res))
     whole = np.nan_to_num(z)
@@ -1787,7 +1787,7 @@ def sight(
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
         near[:, -1] -= (base - ends) / 1e-3
     if clock:
-        discount(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, near, R)
+        discount(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, shared, near, R)
 
 
 def hold_slopes(P, near, held, begin, first, turned):

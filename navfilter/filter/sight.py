@@ -47,7 +47,7 @@ class Sight:
             for i, e in enumerate(np.eye(3)):
                 self._by_arm[:, i] = self._constants_at(sensor, start, e) - self._constants
         self._steps = STEP * np.ascontiguousarray(self._by_arm.T)
-        known = self.arm, self.clock, self._turns, sensor.lead_s
+        known = self.arm, self.clock, self._turns, max(1.0, past.LEFT_S * sensor.rate_hz)
         self.facts = np.concatenate([np.array(known, dtype=np.float64), self._by_arm.ravel()])
 
     @staticmethod
@@ -126,7 +126,7 @@ class Sight:
             self.kernel(whole, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
             near[:, -1] -= (base - ends) / STEP
         if self.clock:
-            past.discount(inner, self._slope, self._then, *drive, over_s, moved[1], *variances, near, R)
+            past.discount(inner, self._slope, self._then, *drive, over_s, moved[1], *variances, self.facts[3], near, R)
 
 
 def by_drive(now: Array, then: Array, B: Array, late_s: float, outputs: Array) -> Array:
