@@ -10,7 +10,10 @@ vehicle that is told the truth, for there is no other software in it. With `--dr
 DVL, wheels, log or what is known of a glider's velocity drive with a compass, with or without clocks, lever arm, scale,
 mounting and deviation as states, beside fixes, USBL, ranges, course, depth and a bottom track now and then. With
 `--drive acoustic` a unit is placed by ranges to beacons, known or to be found, or by USBL of any kind, or rolls on
-wheels, over an altimeter, and hardly sees fixes.
+wheels, over an altimeter, and hardly sees fixes. `--drive velocities` has two that read a velocity beside a unit, beams
+and one of them lost for good; `norths` two that know north, or an AHRS with its own drifts, mostly beside a receiver's
+velocity with clock and arm; `sound` a ship that turns, her heading badly known, or beacons that are to be found,
+through water that moves; `reckoned-sound` such sound without a unit.
 """
 
 from __future__ import annotations
@@ -71,7 +74,8 @@ class Case:
         """One with several instruments for one thing."""
         r = np.random.default_rng([number, 4])
         vehicle, motion, way, duration_s = KINDS[kind](r)
-        surfaced = chance(r, 0.3) or motion == "boat" or not CARRIES & {*vehicle.sensors, "dvl" * (kind == "reckoned-sound")}
+        carried = isinstance(vehicle.drive, nf.DeadReckoning) or CARRIES & vehicle.sensors.keys()
+        surfaced = chance(r, 0.3) or motion == "boat" or not carried
         start = StartErrors(heading_sd_deg=between(r, 0.5, 8.0), tilt_sd_deg=between(r, 0.1, 1.0))
         return cls(vehicle, motion, way, duration_s, "always" if surfaced else "surface", start, kind == "velocities")
 

@@ -109,7 +109,7 @@ def norths(r: Random) -> tuple[nf.Vehicle, str, Motion, float]:
         sensors["compass"] = _compass(r)
     if kind < 0.35:
         sensors["compass2"] = _compass(r)
-    if 0.35 < kind:
+    if kind > 0.35:
         sensors["ahrs"] = _ahrs(r)
     if chance(r, 0.6):
         sensors["course"] = _receiver(r)
@@ -178,7 +178,7 @@ def lost(vehicle: nf.Vehicle, mission: nf.Mission, r: Random) -> nf.Mission:
         stream, values = streams[name], streams[name].value.copy()
         if isinstance(vehicle.sensors[name], nf.DvlBeams) and chance(r, 0.6):
             for beam in r.permutation(4)[: int(r.integers(1, 4))].tolist():
-                values[stream.time_s > r.uniform(0.2, 1.0) * end_s, beam :: 4] = math.nan
+                values[stream.time_s > r.uniform(0.2, 1.0) * end_s, beam::4] = math.nan
             streams[name] = nf.Stream(stream.time_s, values, stream.columns)
     if len(names) > 1 and chance(r, 0.4):
         name, kept = str(r.choice(names)), float(r.uniform(0.2, 0.8)) * end_s

@@ -638,7 +638,8 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "deviation"), [(0, 0, 0), (0, 4, 0), (1, 0, 0), (1, 0, 12), (1, 4, 11), (3, 4, 0), (3, 0, -11), (4, 0, 0), (8, 4, 0)]
+    ("a", "b", "deviation"),
+    [(0, 0, 0), (0, 4, 0), (1, 0, 0), (1, 0, 12), (1, 4, 11), (3, 4, 0), (3, 0, -11), (4, 0, 0), (8, 4, 0)],
 )
 def test_smoother_kernels(a, b, deviation):
     rng = np.random.default_rng(7)

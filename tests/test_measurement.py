@@ -37,7 +37,9 @@ def test_jacobians_equal_finite_differences(seed):
             scales = scales_of(kernel, cfg, size)
             for j in range(9 + size):
                 step = STEPS[j] if j < 9 else 1e-3
-                turning = rate if j - 9 not in scales else np.zeros(3)  # what a scale makes of an arm's turn is left out
+                turning = (
+                    rate if j - 9 not in scales else np.zeros(3)
+                )  # what a scale makes of an arm's turn is left out
                 ends = []
                 for sign in (1.0, -1.0):
                     error, moved = np.zeros(9), par.copy()
@@ -96,7 +98,9 @@ def test_signs_of_the_residuals():
     # water that flows east at 0.5 m/s carries a third of that speed: eastward, the log reads 1.5 m/s; a current north
     # comes from port
     flow = np.array([0.25, 0.5])
-    _, res = evaluate(measurement.water_velocity, np.array([1.5, 0.25, 0.0]), state, still, flow, np.append(plain, 2.0), 3)
+    _, res = evaluate(
+        measurement.water_velocity, np.array([1.5, 0.25, 0.0]), state, still, flow, np.append(plain, 2.0), 3
+    )
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
     # declination east: a magnetic compass reads less than the true heading
     _, res = evaluate(

@@ -825,8 +825,9 @@ def update(P, nav, x, C, R, mem, dims, limits):
     rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
     first says more than which share of the components has to remain when single ones that contradict the others are
     left out, infinite: none ever is, -1 - i: only component i is. dims: those of `places`, then where a deviation
-    begins, see `turn_deviation`; 0: none (below it: of what the caller turns). Leaves the verdict: NIS, components used,
-    1 if the state was corrected, then residuals (NaN where missing) and their variances (NaN also where left out).
+    begins, see `turn_deviation`; 0: none (below it: what the caller turns, see `turn_current`). Leaves the verdict:
+    NIS, components used, 1 if the state was corrected, then residuals (NaN where missing) and their variances (NaN also
+    where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
@@ -1052,7 +1053,8 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
     (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row.
     `start` is the ticked block's place, b its size (0: none); deviation: see `turn_deviation`, or less the place of a
-    current, see `turn_current`; 0: none. L (n, n) and lam (n,) change; T work, n columns and three times as many rows, at least 3a.
+    current, see `turn_current`; 0: none. L (n, n) and lam (n,) change; T work, n columns and three times as many rows,
+    at least 3a.
     """
     n = len(lam)
     at = m * m + b * b

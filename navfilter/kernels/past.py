@@ -39,7 +39,8 @@ MORE_S = 0.5
 #: Elements of what `sight` works in, but for those whose number the sensor says.
 ROOM = 149
 #: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
-#: many readings share what is left of a slope; from BY_ARM on what a lever arm does to its constants, row by row (constants, 3).
+#: many readings share what is left of a slope; from BY_ARM on what a lever arm does to its constants, row by row
+#: (constants, 3).
 ARM, CLOCK, TURNS, SHARED, BY_ARM = range(5)
 
 
@@ -403,8 +404,8 @@ def discount(sources):
     @njit(cache=True, **UNCOUNTED)
     def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
         """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
-        drive's noise. The rest, which so many readings share, and what is not straight go into R (second order, Gelb, 1974,
-        sec. 6.1).
+        drive's noise. The rest, which `shared` readings have in common, and what is not straight go into R (second
+        order, Gelb, 1974, sec. 6.1).
 
         inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; gravity: 0 where
         forces are accelerations; variance: of the clock; pushes (3, 3): see `pushed`.
