@@ -32,8 +32,6 @@ from navfilter.start import Start
 __all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "RefusedWay", "Scatter", "Turns", "usable"]
 
 Array = NDArray[np.float64]
-#: More than this share of a reading's components must agree, or it is rejected whole.
-MAJORITY = 0.5
 #: The past is kept for a time offset of up to so many standard deviations.
 CLOCK_SDS = 4.0
 #: A vehicle that has moved by more than so many standard deviations has moved [1].
@@ -182,9 +180,7 @@ class Channel:
         fixes = sensor.open_loop == listen.POSITION and sensor.axes == 3
         #: Without a fix for longer than this the vehicle has dived [s].
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
-        some = MAJORITY if sensor.single is None else -1.0 - sensor.single
-        some = some if sensor.single_gates else math.inf
-        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, some))
+        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.left_out_alone))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s = sensor.lead_s
         self.past_s = self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + past.WINDOW_S * any(sensor.lever_arm_sd_m)
