@@ -1009,10 +1009,9 @@ def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
         innovation(P, H, res, R, S, PH, out)
         return out[0]
 
-    left, least = np.zeros(len(given), bool), max(limits[0], 0.0) * np.sum(~missing)
-    may = np.ones(len(given), bool) if limits[0] >= 0.0 else np.arange(len(given)) == -1 - limits[0]
-    while np.sum(~missing & ~left) - 1 > least and np.any(~missing & ~left & may):
-        rest = np.flatnonzero(~missing & ~left & may)
+    left, least = np.zeros(len(given), bool), limits[0] * np.sum(~missing)
+    while np.sum(~missing & ~left) - 1 > least:
+        rest = np.flatnonzero(~missing & ~left)
         nis = [form(left | (np.arange(len(given)) == i)) for i in rest]
         left[rest[np.argmin(nis)]] = True
         if form(left) <= limits[int(out[1])]:

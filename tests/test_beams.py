@@ -13,6 +13,7 @@ from scipy.stats import chi2
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
+from navfilter.evaluation.assessment import assess
 from navfilter.io import write_vehicle
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Straight, Wait
@@ -137,6 +138,18 @@ def test_a_beam_that_is_wrong_is_left_out_alone():
     assert abs(apart) < 1.0  # 1 m/s in a beam for 25 s would be 12 m
     text = track.summary(each[0].truth)
     assert text["used"]["dvl"] == len(stream)
+
+
+def test_a_beam_that_is_left_out_for_long_is_said():
+    vehicle, each = missions()
+    stream = each[0].streams["dvl"]
+    value = stream.value.copy()
+    value[len(value) // 2 :, 1] += 1.0
+    mission = each[0].with_stream("dvl", replace(stream, value=value))
+    found = assess({"forward": nf.replay(vehicle, mission)}, mission).verdict.findings
+    (said,) = (finding for finding in found if "was left out of" in finding.text)
+    assert said.stream == "dvl" and said.text.startswith("beam_2 was left out of 50 % of the readings used, typically ")
+    assert 0.9 < float(said.text.split(" m/s off")[0].split()[-1]) < 1.1
 
 
 def test_beams_that_contradict_each_other_are_rejected_together():

@@ -566,32 +566,6 @@ def test_one_component_that_contradicts_the_others_is_left_out(wrong, missing, v
     assert_close([ours[0], np.nan_to_num(out)], [twins[0], np.nan_to_num(twins[5][at[8] : at[9]])], 1e-10)
 
 
-@pytest.mark.parametrize(("wrong", "verdict"), [((), 3), ((2,), 2), ((0,), 0), ((0, 2), 0)])
-@pytest.mark.parametrize("missing", [(), (1,), (0, 1)])
-def test_only_the_component_that_may_be_is_left_out(wrong, missing, verdict):
-    """The height of a fix: where it alone contradicts the state the place is used, and none if it is all there is."""
-    rng = np.random.default_rng(10)
-    dims = np.array([3, 12, 9, 0, 9, 1, 2, 0])
-    at, a, n = kalman.places(dims), 3, 12
-    P, mem, C = 1e-4 * spd(rng, n), np.zeros(at[-1]), np.full((a, 1), 0.1)
-    mem[at[7] : at[8]] = rng.normal(size=at[8] - at[7])
-    res = 0.03 * rng.normal(size=a)
-    res[list(wrong)] += 5.0
-    res[list(missing)] = np.nan
-    mem[at[3] : at[4]] = res
-    limits = np.array([-3.0, 15.1, 18.4, 21.1])
-    ours, twins = run_both(kalman.update, P, random_nav(rng), np.zeros(3), C, 1e-3 * np.eye(a), mem, dims, limits)
-    out, seen = ours[5][at[8] : at[9]], {0, 1, 2} - set(missing)
-    fits = not seen & set(wrong) or (seen & set(wrong) == {2} and len(seen) > 1)
-    assert out[2] == float(fits) and (not fits or out[1] == len(seen - set(wrong)))
-    assert verdict == 0 or missing or out[1] == verdict
-    if fits:
-        assert set(np.flatnonzero(np.isnan(out[3 + a :]))) >= set(missing) | (seen & set(wrong))
-    for part in (0, 2, 3) if fits else (0, 3):
-        assert_close([ours[5][at[part] : at[part + 1]]], [twins[5][at[part] : at[part + 1]]], 1e-10)
-    assert_close([ours[0], np.nan_to_num(out)], [twins[0], np.nan_to_num(twins[5][at[8] : at[9]])], 1e-10)
-
-
 def test_innovation_of_a_scalar():
     rng = np.random.default_rng(5)
     for res, P in (

@@ -21,6 +21,7 @@ from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.lane_missions import last_unit, of_one_unit
 from navfilter.mission import Mission
+from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 from navfilter.vehicle import DEAD_RECKONING
 
@@ -292,9 +293,10 @@ def _left_out_alone(name: str, run: Track, r: Residuals, limits: Limits) -> Iter
     for axis, share in enumerate(alone.mean(axis=0).tolist()):
         if share > limits.rejected[0]:
             sensor = run.vehicle.sensors[name]
-            off = abs(float(np.median(r.value[used][alone[:, axis], axis])))
+            unit, factor = shown_unit(sensor.units[axis])
+            off = factor * abs(float(np.median(r.value[used][alone[:, axis], axis])))
             text = f"{sensor.axis_names[axis]} was left out of {100 * share:.0f} % of the readings used,"
-            yield Finding("warning", name, f"{text} typically {off:.3g} {sensor.unit} off.", _CHECK)
+            yield Finding("warning", name, f"{text} typically {off:.3g} {unit} off.", _CHECK)
 
 
 def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: bool) -> Iterator[Finding]:

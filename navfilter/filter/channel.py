@@ -32,6 +32,8 @@ from navfilter.start import Start
 __all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "RefusedWay", "Scatter", "Turns", "usable"]
 
 Array = NDArray[np.float64]
+#: More than this share of a reading's components must agree, or it is rejected whole.
+MAJORITY = 0.5
 #: The past is kept for a time offset of up to so many standard deviations.
 CLOCK_SDS = 4.0
 #: A vehicle that has moved by more than so many standard deviations has moved [1].
@@ -180,7 +182,7 @@ class Channel:
         fixes = sensor.open_loop == listen.POSITION and sensor.axes == 3
         #: Without a fix for longer than this the vehicle has dived [s].
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
-        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.left_out_alone))
+        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s = sensor.lead_s
         self.past_s = self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + past.WINDOW_S * any(sensor.lever_arm_sd_m)
@@ -431,9 +433,9 @@ class Channel:
 
 
 @cache
-def _limits(probability: float, axes: int, some: float) -> tuple[float, ...]:
-    """Chi-square limits of the gate for 1, 2, ... axes; first what may be left out, see ``kalman.update``."""
-    return (some, *chi_square_limit(probability, np.arange(1, axes + 1)).tolist())
+def _limits(probability: float, axes: int, single: bool) -> tuple[float, ...]:
+    """Chi-square limits of the gate for 1, 2, ... axes; first the share that must remain, see ``kalman.update``."""
+    return (MAJORITY if single else math.inf, *chi_square_limit(probability, np.arange(1, axes + 1)).tolist())
 
 
 def usable(sd: ArrayLike, sensor: Sensor) -> bool:

@@ -824,10 +824,9 @@ def update(P, nav, x, C, R, mem, dims, limits):
     H of the drive's states is what the caller has left there (0 but for readings of the past). C: (a, errors) output
     rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
     first says more than which share of the components has to remain when single ones that contradict the others are
-    left out, infinite: none ever is, -1 - i: only component i is. dims: those of `places`, then where a deviation
-    begins, see `turn_deviation`; 0: none (below it: what the caller turns, see `turn_current`). Leaves the verdict:
-    NIS, components used, 1 if the state was corrected, then residuals (NaN where missing) and their variances (NaN also
-    where left out).
+    left out, infinite: none ever is. dims: those of `places`, then where a deviation begins, see `turn_deviation`; 0:
+    none (below it: what the caller turns, see `turn_current`). Leaves the verdict: NIS, components used, 1 if the state
+    was corrected, then residuals (NaN where missing) and their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
@@ -1007,14 +1006,14 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     Without component i the NIS is smaller by (S^-1 res)_i^2 / (S^-1)_ii. Leaves the innovation of what remains, or of
     the whole reading where that does not fit.
     """
-    a, only = len(res), int(-1.0 - limits[0])
+    a = len(res)
     left = np.zeros(a)
     remaining = int(out[1])
-    least = max(limits[0], 0.0) * remaining
+    least = limits[0] * remaining
     while remaining - 1 > least:
         worst, most = -1, -1.0
         for i in range(a):
-            if not math.isnan(out[3 + i]) and left[i] == 0.0 and (only < 0 or i == only):
+            if not math.isnan(out[3 + i]) and left[i] == 0.0:
                 s = 0.0
                 for j in range(a):
                     s += S[a + i, j] * res[j]

@@ -176,9 +176,6 @@ class Position(Sensor):
 
     prior: ClassVar[ErrorModel] = GaussMarkov(sd=3.0, tau_s=60.0) + White(sd=1.0)
     axes: ClassVar[int] = 3
-    single_gates: ClassVar[bool] = True
-    single: ClassVar[int | None] = 2  # heights err by more, and may be of another system than those of a depth gauge
-    single_s: ClassVar[float] = 5.0  # for longer it is the vehicle's height, or the gauge's
     reads: ClassVar[int] = 3
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.position)

@@ -35,8 +35,6 @@ Reading = tuple[Array, tuple[str, ...]]
 EARLY_SDS = 2.5
 #: What is seen of the motion after a reading, at least [s].
 SEEN_S = 0.2
-#: More than this share of a reading's components must agree, or it is rejected whole.
-MAJORITY = 0.5
 #: A number beyond this is no measurement in any unit: a pressure at the greatest depth is 1e8 Pa.
 LARGEST = 1e12
 
@@ -87,8 +85,6 @@ class Sensor(Typed):
         term while the heading is hardly known.
     single_gates : bool
         A component that contradicts the others is left out alone, as long as more than half of them remain.
-    single : int or None
-        Only this one is; None: any.
     deviation : int or None
         Which of its parameters begin a deviation with the heading, that no reading tells from it: see
         `kalman.turn_deviation`.
@@ -151,7 +147,6 @@ class Sensor(Typed):
     reads_rate: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
-    single: ClassVar[int | None] = None
     hidden: ClassVar[bool] = False
     deviation: ClassVar[int | None] = None
     single_s: ClassVar[float] = math.inf
@@ -206,12 +201,6 @@ class Sensor(Typed):
         """Refuse constants that this sensor does not have."""
         known = constant_parameters(self.parameters(), self.wandering()) if self.calibrated else ()
         check_calibrated(owner, self.calibrated, [p.name for p in known])
-
-    @property
-    def left_out_alone(self) -> float:
-        """Of which of its components single ones may be: as the first limit of ``kalman.update``."""
-        some = MAJORITY if self.single is None else -1.0 - self.single
-        return some if self.single_gates else math.inf
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:
