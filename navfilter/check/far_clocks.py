@@ -21,6 +21,8 @@ MOST_S, STEP_S = 120.0, 0.5
 LEAST_S = 2.5
 #: What a delay leaves unexplained at most [1], and of what is left without one [1].
 LEFT, OF_THAT = 0.19, 0.3
+#: What follows, or goes the other way, with less than this unexplained, at a delay up to that, needs no other [1], [s].
+CLOSE, CLOSELY_S = 0.1, 1.0
 #: So many windows are compared at least.
 LEAST_WINDOWS = 20
 #: By how much clocks differ that people mix up [s].
@@ -69,7 +71,7 @@ def late_path_by(paths: Paths, left: float) -> float | None:
 
     def unexplained(late_s: float) -> float:
         there = (paths.edges + late_s >= first) & (paths.edges + late_s <= last)
-        if np.count_nonzero(there) < max(LEAST_WINDOWS, 0.5 * there.size):
+        if np.count_nonzero(there) < max(LEAST_WINDOWS, 0.5 * there.size) or not wanted[there].any():
             return 1.0
         if abs(late_s) <= LEAST_S:
             return left
@@ -80,14 +82,17 @@ def late_path_by(paths: Paths, left: float) -> float | None:
 
 def _best(unexplained: Callable[[float], float], most_s: float) -> float | None:
     """The delay that explains most, if it is a large one and does so by far better than a small one."""
+    if most_s <= LEAST_S:
+        return None
     late_s = np.arange(-most_s, most_s + 0.5 * STEP_S, STEP_S)
     left: Array = np.array([unexplained(float(s)) for s in late_s])
     near = np.abs(late_s) <= LEAST_S
     best = int(np.argmin(left))
-    if near[best] or left[best] > min(LEFT, OF_THAT * float(np.min(left[near], initial=1.0))):
+    if near[best] or np.min(left[np.abs(late_s) <= CLOSELY_S]) < CLOSE:
         return None
-    fine = late_s[best] + np.linspace(-STEP_S, STEP_S, 21)
-    return float(min(fine, key=lambda s: unexplained(float(s))))
+    finer = {float(s): unexplained(float(s)) for s in late_s[best] + np.linspace(-STEP_S, STEP_S, 21)}
+    found = min(finer, key=lambda s: finer[s])
+    return found if finer[found] <= min(LEFT, OF_THAT * float(np.min(left[near]))) else None
 
 
 def far_finding(name: str, what: str, late_s: float) -> Iterator[Finding]:
