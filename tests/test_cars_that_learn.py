@@ -22,7 +22,7 @@ from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.simulate import simulate
 
 DEG, FIXED_S, RATE_HZ = np.pi / 180.0, 42.0, 10.0
-SEEDS = range(51, 57)
+SEEDS, MANY = range(51, 57), range(51, 75)
 SMALL = (
     nf.White(sd=0.005) + nf.GaussMarkov(sd=0.01, tau_s=1.0),
     nf.GaussMarkov(sd=0.01, tau_s=0.3),
@@ -129,10 +129,10 @@ def test_wheels_that_err_less_than_described_navigate_no_worse(unsure):
 
 def test_errors_that_go_with_the_motion_are_no_noise():
     """Constants that each turn tells otherwise are not believed: NEES 2.4, the position 2.3 times as far off; now 1.0
-    and 1.05.
+    and 1.05. Whether a mission gives up turns on a hair, and NEES is 0.2 to 4 of one: six were no mean.
     """
-    ratio, nees, given_up = scored(springs=True).T
-    assert given_up.sum() >= 2
+    ratio, nees, given_up = scored(springs=True, seeds=MANY).T
+    assert given_up.sum() >= 6
     assert np.median(ratio) < 1.3
     assert nees.mean() < 1.5
 
