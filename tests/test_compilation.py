@@ -129,6 +129,24 @@ def test_a_kernel_that_was_kept_finds_one_apart_that_was_not(tmp_path):
     assert [first[1:], second[1:], third[1:]] == [[b"0", b"0"], [b"1", b"0"], [b"1", b"1"]]
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_what_is_linked_from_the_cache_brings_what_it_calls_apart(tmp_path):
+    """`turn_velocity` holds `_add_turned`, which calls `_follow` by its symbol. Where that had been compiled by another
+    process, as after a first start that was broken off, numba kept nothing of it, and the next start ended in LLVM.
+    """
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    part = "kalman._add_turned.compile((addresses._TABLE, types.int64, types.int64, *(types.float64,) * 3))"
+    whole = "kalman.turn_velocity.compile(addresses.TURN)"
+    call = "P = np.eye(12); kalman.turn_velocity(P, np.ones(17), (0.0, 0.0, 0.0), np.zeros(3)); print(P[3, 7])"
+    for step in (part, whole, call):
+        program = (
+            f"import numpy as np; from numba import types; from navfilter.kernels import addresses, kalman; {step}"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+        assert done.returncode == 0, done.stderr
+    assert float(done.stdout) != 0.0
+
+
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="without the JIT it is an ordinary function")
 def test_python_cannot_call_a_kernel_that_is_for_kernels_only():
     for kernel in (kalman._orthonormal, kalman._invert):

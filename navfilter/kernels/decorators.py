@@ -43,6 +43,9 @@ KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < 
 #: two to four dozen numbers are no quicker, and double the code that it has to look through.
 OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
+#: What defines kernels that are called by symbols, by these.
+_definitions: dict[str, Callable[[], Any]] = {}
+
 _settings: Any = config
 _Base: Any = _Intrinsic
 _Native: Any = NativeLowering
@@ -201,7 +204,9 @@ class _Lean(CompilerBase):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(_Native):
-    """numba's, with `OPTIMISER` in force: it compiles one function at a time."""
+    """numba's, with `OPTIMISER` in force: it compiles one function at a time. Symbols that are called are to be defined
+    before it is loaded, also where what calls them was linked from numba's cache: numba forgets what that needs.
+    """
 
     _name = "kernel_lowering"
 
@@ -212,6 +217,10 @@ class _Lowering(_Native):
             done: bool = super().run_pass(state)
         finally:
             vars(_settings).update(before)
+        called = (f.name for f in state.library._final_module.functions if f.is_declaration)
+        missing = {_definitions[name] for name in called if name in _definitions} - state.library._reload_init
+        state.library._reload_init.update(missing)
+        state.reload_init.extend(missing)
         return done
 
 
@@ -257,8 +266,7 @@ def _caller(kernel: Any) -> Callable[..., Any]:
         returned = _compiled(kernel, args).signature.return_type
         digest = hashlib.sha256(repr((returned, args)).encode()).hexdigest()[:16]
         symbol = f"{kernel.__module__}.{kernel.__name__}.{digest}"
-        define = functools.partial(_define, symbol, kernel.__module__, kernel.__name__, args)
-        define()
+        define = _define(symbol, kernel.__module__, kernel.__name__, args)
 
         def generate(context, builder, _, values):
             context.active_code_library._reload_init.add(define)
@@ -283,7 +291,10 @@ def _compiled(kernel: Any, args: tuple[Any, ...]) -> Any:
     return kernel.overloads[args]
 
 
-def _define(symbol: str, module: str, name: str, args: tuple[Any, ...]) -> None:
-    """Let all that is loaded from now on find a kernel by its symbol; compile it, or load it, before."""
+def _define(symbol: str, module: str, name: str, args: tuple[Any, ...]) -> Callable[[], Any]:
+    """Let all that is loaded from now on find a kernel by its symbol; compile it, or load it, before. Returns what does
+    the same again.
+    """
     compiled = _compiled(getattr(importlib.import_module(module), name), args)
     llvm.add_symbol(symbol, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+    return _definitions.setdefault(symbol, functools.partial(_define, symbol, module, name, args))
