@@ -210,6 +210,8 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
         channels[name].near[:, first : first + 3], channels[name].note[3:6] = np.eye(3), (size, 0.0, 0.0)
     assert gating.state_contradicted(channels.values(), 100.0)
     assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[[0, 3]]) == pytest.approx([100.0, 10.0])
+    channels["compass"].memory.agreed_s = 50.0  # nor is it asked of the heading then
+    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[6:]) == pytest.approx(gating.OPEN_ATTITUDE)
     channels["gps"].memory.rejected_since_s = 92.0
     assert not gating.state_contradicted(channels.values(), 100.0)
     # a residual of another unit says nothing, however long it lasts

@@ -93,7 +93,9 @@ def _place_contradicted(channels: Collection[Channel], time_s: float) -> bool:
 
 def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
     """Variance to add to position, velocity and attitude, shape (9,), so that the sensors establish them again; none to
-    the attitude where it is only a place that they contradict, and a compass and a velocity go on to agree.
+    the attitude where it is only a place that they contradict, and a compass and a velocity go on to agree. Of fixes
+    that it goes away from, without a velocity, to the tilt no more than leads so far, and none to the heading where a
+    compass goes on to agree.
 
     Parameters
     ----------
@@ -102,9 +104,9 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
     time_s : float
         Now [s].
     """
-    largest, agree, opened = np.zeros(6), set(), np.zeros(3)
+    largest, opened = np.zeros(6), np.zeros(3)
+    agree = {channel.sensor.corrects for channel in channels if channel.memory.agrees}
     for channel in channels:
-        agree |= {channel.sensor.corrects} if channel.memory.agrees else set()
         since_s = channel.memory.rejected_since_s
         if not math.isnan(since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
@@ -116,12 +118,10 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
                 largest[3:] = np.maximum(largest[3:], 2.0 * _off(channel) / span_s)
                 # a tilt that has not done more has not been larger
                 tilt = 2.0 * _off(channel) / (ROUND_GRAVITY * span_s**2)
-                attitude = np.minimum([tilt, tilt, math.inf], OPEN_ATTITUDE)
+                attitude = np.minimum([tilt, tilt, 0.0 if "heading" in agree else math.inf], OPEN_ATTITUDE)
             opened = np.maximum(opened, attitude)
     if {"heading", "velocity"} <= agree:
         opened[:] = 0.0
-    elif "heading" in agree:
-        opened[2] = 0.0
     spread = np.concatenate([largest + OPEN_MOTION, opened])
     return np.asarray(spread**2)
 
