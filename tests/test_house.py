@@ -322,7 +322,8 @@ def test_nothing_inherits_from_the_filter():
 
 #: Names with an underscore that other libraries mean to be used: named tuples, what a kernel is built of, a time stamp.
 OPEN = {
-    *("context.active_code_library._reload_init", "view._getvalue", "colours._markup"),
+    *("context.active_code_library._reload_init", "state.library._reload_init", "state.library._final_module"),
+    *("view._getvalue", "colours._markup"),
     *("_replace", "_fields", "_asdict", "os._exit", "message._timestamp"),
 }
 

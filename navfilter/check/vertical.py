@@ -169,7 +169,8 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
 def _scale_findings(depth: str, velocity: str, sunk: Array, deeper: Array) -> Iterator[Finding]:
     """A depth in another unit, or a pressure: it changes by more or less than the vehicle sinks."""
     (scale,), (sd,) = factors(sunk[:, None], deeper)
-    if correlation(sunk, deeper)[0] > _FOLLOWS and abs(math.log(scale)) > max(_OTHER_UNIT, SURE * sd / scale):
+    follows = correlation(sunk, deeper)[0] > _FOLLOWS and scale > 0.0
+    if follows and abs(math.log(scale)) > max(_OTHER_UNIT, SURE * sd / scale):
         text = f"the depth changes {scale:.3g} times as far as {velocity} and the tilt say."
         known = {
             3.281: '"ft"',

@@ -920,6 +920,32 @@ def _deviated(K, res, first):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
+def _turn(P, by, first):
+    """Let states from `first` on follow an error of the heading: `by` is what turning by one does to the change of
+    each. P is symmetric.
+    """
+    n, whole, end = P.shape[0], flat(P), first + len(by)
+    own, last = 8 * n, n - WIDE
+    for i in range(len(by)):
+        row, f = (first + i) * n, all_of(by[i])
+        overlapping = eight(whole, row + last) + times(f, eight(whole, own + last))
+        for j in range(0, last, WIDE):
+            put(whole, row + j, eight(whole, row + j) + times(f, eight(whole, own + j)))
+        put(whole, row + last, overlapping)
+    _follow(P, first, end)
+    for j in range(first, end):
+        f = P[j, 8]
+        for i in range(len(by)):
+            P[j, first + i] += by[i] * f
+    for i in range(first, end):
+        for j in range(first, i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
 def turn_deviation(P, K, res, first):
     """After a compass has changed its own deviation: what an error of the heading does to the deviation it also does to
     the change. K (n,): its gain; first: where sine and cosine of the heading, and of twice it, begin.
@@ -929,24 +955,7 @@ def turn_deviation(P, K, res, first):
     that is, and have to follow it. Else each reading would tell a little of the heading by how its slope has changed
     (Huang, Mourikis and Roumeliotis, 2010, International Journal of Robotics Research 29).
     """
-    by, n, whole = _deviated(K, res, first), P.shape[0], flat(P)
-    own, last = 8 * n, n - WIDE
-    for i in range(4):
-        row, f = (first + i) * n, all_of(by[i])
-        overlapping = eight(whole, row + last) + times(f, eight(whole, own + last))
-        for j in range(0, last, WIDE):
-            put(whole, row + j, eight(whole, row + j) + times(f, eight(whole, own + j)))
-        put(whole, row + last, overlapping)
-    _follow(P, first, first + 4)
-    for j in range(first, first + 4):
-        f = P[j, 8]
-        for i in range(4):
-            P[j, first + i] += by[i] * f
-    for i in range(first, first + 4):
-        for j in range(first, i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s
+    _turn(P, _deviated(K, res, first), first)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -968,16 +977,7 @@ def turn_current(P, K, res, first):
     one that is known less, the current; did that not follow the heading, the next reading would tell the heading from
     the noise of this one. K (n, a), res (a,): gain and residuals of the reading.
     """
-    by = _carried(K, res, first)
-    n = P.shape[0]
-    for i in range(2):
-        for j in range(n):
-            P[first + i, j] += by[i] * P[8, j]
-    for i in range(2):
-        for j in range(n):
-            P[j, first + i] += by[i] * P[j, 8]
-    s = 0.5 * (P[first, first + 1] + P[first + 1, first])
-    P[first, first + 1], P[first + 1, first] = s, s
+    _turn(P, _carried(K, res, first), first)
 
 
 @apart
@@ -1065,7 +1065,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
         res = record[at + a * a : at + a * a + a]
         half = 0.5 * record[at + a * a + a]
         if deviation > 0:
-            _deviation_transposed(L, lam, K[:, 0], res[0], deviation)
+            _turn_back(L, lam, _deviated(K[:, 0], res[0], deviation), deviation)
         x, y, z = record[at + a * a + a + 1], record[at + a * a + a + 2], record[at + a * a + a + 3]
         if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `turn_velocity`
             _add_turned(L, int(6), int(3), -x, -y, -z)
@@ -1074,7 +1074,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
             lam[7] += z * u - x * w
             lam[8] += x * v - y * u
             if deviation < 0:
-                _current_transposed(L, lam, K, res, -deviation)
+                _turn_back(L, lam, _carried(K, res, -deviation), -deviation)
         if half != 0.0:
             _reset(L, -half)
             c, u, v = 1.0 - 2.0 * half * half / 3.0, lam[6], lam[7]
@@ -1115,30 +1115,14 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _deviation_transposed(L, lam, K, res, first):
-    """`turn_deviation` backward."""
-    by = _deviated(K, res, first)
+def _turn_back(L, lam, by, first):
+    """`_turn` backward."""
     n = len(lam)
-    for i in range(4):
+    for i in range(len(by)):
         lam[8] += by[i] * lam[first + i]
         for j in range(n):
             L[8, j] += by[i] * L[first + i, j]
-    for i in range(4):
-        for j in range(n):
-            L[j, 8] += by[i] * L[j, first + i]
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def _current_transposed(L, lam, K, res, first):
-    """`turn_current` backward."""
-    by = _carried(K, res, first)
-    n = len(lam)
-    for i in range(2):
-        lam[8] += by[i] * lam[first + i]
-        for j in range(n):
-            L[8, j] += by[i] * L[first + i, j]
-    for i in range(2):
+    for i in range(len(by)):
         for j in range(n):
             L[j, 8] += by[i] * L[j, first + i]
 
