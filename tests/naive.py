@@ -967,9 +967,12 @@ def places(dims):
     return tuple(np.cumsum(sizes))
 
 
+def note(acc, mem):
+    mem[: acc[0].size ** 2] = acc[: acc[0].size].ravel()
+
+
 def predict(P, nav, x, acc, model, mem, dims, count):
     m, b, start = dims[2:5]
-    mem[: m * m] = acc[:m].ravel()
     fold(P, acc, nav, None)
     if b:
         W = np.zeros((2, b, b))
@@ -1900,6 +1903,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     if drv[126]:
         discount_heading(P, acc, nav, drv[142])
+    if not spot[33]:
+        note(acc, mem)
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, off)
@@ -2100,6 +2105,7 @@ def stretch(
     period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, _ = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads, trace = out
+    plan[:, 33] = not (records.size or undone.size)
 
     def record(values, *head):
         if records.size:

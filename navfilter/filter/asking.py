@@ -97,6 +97,7 @@ def asked(
     (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
     if drive.inertial:
         kalman.discount_heading(P, memory.acc, nav, memory.drv[strapdown.OWN], np.empty(2 * int(channel.dims[2])))
+    channel.transition[:] = memory.acc[: len(channel.transition)]
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
     outputs, errors = drive.outputs(drive_output, memory.drv, x[: drive_output.shape[1] - 1])
     z = channel.without_errors(z, outputs, errors) if channel.sensor.reads_rate else z

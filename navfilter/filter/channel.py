@@ -291,7 +291,7 @@ class Channel:
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
         asked = self._kernels if self.known else (0, 0, 0, 0)
         north = -1 if self.sensor.north is None else self.sensor.north
-        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden
+        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False
         self.spot = np.array([*self.dims, *asked, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 

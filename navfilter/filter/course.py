@@ -346,6 +346,7 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     along[[3, 4, 8]] = -nav[4], nav[3], 1.0
     P += angle**2 * np.outer(along, along)
     P[:] = 0.5 * (P + P.T)
+    compass.transition[:] = memory.acc[: len(compass.transition)]
     kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
     reading = np.full(a + 1, math.nan)  # only its slopes are asked for
     if compass.kernel is measurement.magnetometer:  # they are those of the field that it feels: level, of unknown dip

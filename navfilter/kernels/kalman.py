@@ -372,6 +372,13 @@ def present(P, acc, nav, inertial, own, work, out):
 
 
 @njit(cache=True, **UNCOUNTED)
+def note(acc, mem):
+    """The compound transition into a channel's memory, before it is folded: for the smoother, and for learning."""
+    m = acc.shape[1]
+    _copy(flat(acc), mem[: m * m])
+
+
+@njit(cache=True, **UNCOUNTED)
 def _copy(of, to):
     """The first of some numbers to others, eight at least. A loop over numbers goes one by one."""
     last = to.size - WIDE
@@ -783,12 +790,11 @@ def places(dims):
 @apart
 @njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
-    """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
-    b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
+    """Before a reading: fold the transition, and tick the sensor's block `count` times, whose transition goes into
+    `mem`. model: (2, b, b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
     work = places(dims)[9]
-    _copy(flat(acc), mem[: m * m])
     if unmoved(acc[: 2 * m]):
         _orthonormal(nav, mem[work : work + 9])
     else:

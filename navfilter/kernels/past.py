@@ -275,13 +275,18 @@ def consider(sources):
         """
         _ = sources
         (n, a), end, most = K.shape, at + untold.size, (untold.size + LANES - 1) // LANES * LANES
-        # of so many states that their number is a multiple of eight: which they are, if they are meant, their gains
-        first, rows = min(at, n - most), scratch(np.float64, 2 + a, most)
+        # of so many states that their number is a multiple of eight: their gains and, behind them, half of these times
+        # S, zeros for those that are not meant. P gains the products of both, each in both orders: it stays symmetric
+        # to the bit
+        first, rows = min(at, n - most), scratch(np.float64, 2 * a, most)
         for j in range(most):
             i = first + j
-            rows[0, j], rows[1, j] = i, untold[i - at] if at <= i < end else 0.0
+            meant = at <= i < end and untold[i - at] != 0.0
             for c in range(a):
-                rows[2 + c, j] = K[i, c] if rows[1, j] != 0.0 else 0.0
+                rows[c, j], half = K[i, c] if meant else 0.0, 0.0
+                for r in range(a if meant else 0):
+                    half += 0.5 * S[c, r] * K[i, r]
+                rows[a + c, j] = half
         whole, given = flat(P), flat(rows)
         for i in range(at, end):
             if untold[i - at] == 0.0:
@@ -289,15 +294,10 @@ def consider(sources):
             for c in range(a):
                 x[i - 9] -= K[i, c] * res[c]
             for j in range(0, most, LANES):
-                # rounded as that of the later state by the earlier one, so that P stays symmetric to the bit
-                later, earlier, place = all_of(0.0), all_of(0.0), i * n + first + j
+                place, more = i * n + first + j, all_of(0.0)
                 for c in range(a):
-                    of = eight(given, (2 + c) * most + j)
-                    for r in range(a):
-                        by = eight(given, (2 + r) * most + j)
-                        later = later + times(times(of, all_of(S[c, r])), all_of(K[i, r]))
-                        earlier = earlier + times(all_of(K[i, c] * S[c, r]), by)
-                more = if_below(eight(given, j), all_of(float(i)), earlier, later)
+                    of, by = eight(given, c * most + j), eight(given, (a + c) * most + j)
+                    more = more + (times(all_of(rows[c, i - first]), by) + times(of, all_of(rows[a + c, i - first])))
                 put(whole, place, eight(whole, place) + more)
 
     return consider
@@ -352,8 +352,10 @@ def withhold_hidden(sources):
         for q in range(untold.size):
             i, told = at + q, 0.0
             for c in range(a):
+                by = 0.0
                 for r in range(a):
-                    told += K[i, c] * S[c, r] * K[i, r]
+                    by += S[c, r] * K[i, r]
+                told += K[i, c] * by
             before = P[i, i] + told
             untold[q] = 1.0 if told < TOLD * TOLD * known * before * before else 0.0
         consider(P, x, K, S, res, at, untold)

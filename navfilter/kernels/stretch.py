@@ -36,12 +36,12 @@ UNSURE_HEADING = 0.01
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
 # how long the record for the smoother is; whether a reading of which components are left out is Python's to judge;
 # from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
-# parameters may be hidden by the state's error. One more row is for the drive: dimensions of a fold, addresses of its
+# parameters may be hidden by the state's error; whether nobody wants to know its transitions. One more row is for the drive: dimensions of a fold, addresses of its
 # steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
-VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, PLAN = range(26, 34)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, UNHEARD, PLAN = range(26, 35)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -130,6 +130,8 @@ def correction(sources):
         places = kalman.places(dims)
         if drv[strapdown.INERTIAL] != 0.0:
             kalman.discount_heading(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
+        if not spot[UNHEARD]:
+            kalman.note(acc, mem)
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
         H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
@@ -760,6 +762,8 @@ def stretch(sources):
         m = acc.shape[1]
         period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
         work = bench[spot[MEM] :]
+        for i in range(plan.shape[0]):
+            plan[i, UNHEARD] = records.size == 0 and undone.size == 0
         for e in range(cursor[READING], times.size):
             cursor[READING] = e
             i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
