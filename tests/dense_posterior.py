@@ -61,9 +61,9 @@ class Capture:
         self._single = []
         withhold = asking.withhold
 
-        def withheld(memory, channel, drive_output):
+        def withheld(memory, channel, drive_output, kept):
             before = memory.P.copy()
-            withhold(memory, channel, drive_output)
+            withhold(memory, channel, drive_output, kept)
             if np.any(before != memory.P):
                 self.steps[-1].U = self.samples[-1].U = memory.P - before
 

@@ -1695,25 +1695,33 @@ def lately(rows, rate):
     rate[:] = rows[:, 0] @ rows[:, 1:4] / max(rows[:, 0].sum(), 1e-9)
 
 
-def consider(P, x, K, S, res, at, untold):
-    these = at + np.flatnonzero(untold)
-    x[these - 9] -= K[these] @ res
-    P[np.ix_(these, these)] += K[these] @ S[: len(res)] @ K[these].T
+def lanes(count):
+    return -(-count // 8) * 8
 
 
-def withhold(P, x, near, K, S, res, own, at, drv, Cr, untold):
+def keep_constants(P, x, at, kept):
+    count, most = len(kept) - 1, kept.shape[1]
+    first = min(at, len(P) - most)
+    kept[0, :count], kept[1:] = x[at - 9 :][:count], P[at : at + count, first : first + most]
+
+
+def consider(P, x, kept, at, untold):
+    these, first = np.flatnonzero(untold), min(at, len(P) - kept.shape[1])
+    x[at - 9 + these] = kept[0, these]
+    P[np.ix_(at + these, at + these)] = kept[np.ix_(1 + these, at - first + these)]
+
+
+def withhold(P, x, near, kept, own, at, drv, Cr, untold):
     if drv[strapdown_kernels.INERTIAL]:
         least = 15.0**2 * Cr[:3, -1].max() * min(1.0, drv[36] / 0.2)
         untold[:] = np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least
-        consider(P, x, K, S, res, at, untold)
+        consider(P, x, kept, at, untold)
 
 
-def withhold_hidden(P, x, H, K, S, res, at, untold):
-    these = slice(at, at + len(untold))
-    told = np.diag(K[these] @ S[: len(res)] @ K[these].T)
-    before = np.diag(P)[these] + told
-    untold[:] = told < 100.0 * np.trace(H @ K) * before**2
-    consider(P, x, K, S, res, at, untold)
+def withhold_hidden(P, x, H, K, kept, at, untold):
+    before = np.diag(kept[1:, at - min(at, len(P) - kept.shape[1]) :])
+    untold[:] = before - np.diag(P)[at:][: len(untold)] < 100.0 * np.trace(H @ K) * before**2
+    consider(P, x, kept, at, untold)
 
 
 def pushed(P, nav, drv, Cr, pushes, work):
@@ -1947,6 +1955,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     velocity, turns = nav[3:6].copy(), drv[142] and turns_along(P, nav[3:5])
     if spot[31] >= 0:
         mem[places_[9] - 2] = R[spot[31], spot[31]]
+    kept, elements = [], int(drv[88])
+    arm = par - 3 - int(bench[facts + 1]) if seen and bench[facts] else 0
+    for where, count in (
+        (start + errors + arm, 3),
+        (start + errors + held_from, held_to - held_from),
+        (m - elements, elements),
+    ):
+        kept.append(np.zeros((1 + count, lanes(count))))
+        keep_constants(P, x, where, kept[-1])
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
     change = mem[places_[4] + 1 : places_[5]]
     change[:] = 0.0
@@ -1957,14 +1974,12 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
             if dims[7] < 0:
                 turn_current(P, mem[places_[1] : places_[2]].reshape(n, a), res, -dims[7])
     if mem[places_[8] + 2]:
-        K, S = mem[places_[1] : places_[2]].reshape(n, a), mem[places_[5] : places_[6]].reshape(2 * a, a)
+        K = mem[places_[1] : places_[2]].reshape(n, a)
         if seen and bench[facts]:
-            first = par - 3 - int(bench[facts + 1])
-            withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr, np.empty(3))
+            withhold(P, x, near, kept[0], arm, start + errors + arm, drv, Cr, np.empty(3))
         if spot[32]:
-            withhold_hidden(P, x, H, K, S, res, start + errors + held_from, np.empty(held_to - held_from))
-        elements = int(drv[88])
-        withhold_hidden(P, x, H, K, S, res, m - elements, np.empty(elements))
+            withhold_hidden(P, x, H, K, kept[1], start + errors + held_from, np.empty(held_to - held_from))
+        withhold_hidden(P, x, H, K, kept[2], m - elements, np.empty(elements))
 
 
 def heeded(w, nav, P, period_s):

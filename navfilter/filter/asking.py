@@ -146,6 +146,7 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     if (north := channel.sensor.north) is not None:
         channel.mem[channel.places[9] - stretch.NOTED + stretch.NORTH_WHITE] = R[north, north]
     moves = channel.moves and np.isfinite(channel.res).sum() >= 3
+    kept = keep(memory, channel, drive_output)
     kalman.update(P, nav, memory.x, C, R, channel.mem, channel.dims, gate)
     channel.change[:] = 0.0
     if channel.verdict[2]:
@@ -154,21 +155,37 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
             kalman.turn_velocity(P, nav, before, channel.change)
             if channel.dims[7] < 0:
                 kalman.turn_current(P, channel.K, channel.res, -channel.dims[7])
-        withhold(memory, channel, drive_output)
+        withhold(memory, channel, drive_output, kept)
 
 
-def withhold(memory: FilterMemory, channel: Channel, drive_output: Array) -> None:
-    """Take back what a reading that was used has told of constants by the error of the state."""
-    P, x, drv, sight, head = memory.P, memory.x, memory.drv, channel.sight, 8 + drive_output.shape[1]
-    H, K, S, res, first = channel.H, channel.K, channel.S, channel.res, channel.parameters.start + 9
+def keep(memory: FilterMemory, channel: Channel, drive_output: Array) -> list[tuple[int, Array]]:
+    """Constants that a reading may tell too much of, before it corrects: where those of a lever arm begin, of the
+    sensor, and of the unit, and what `past.keep_constants` notes of them.
+    """
+    first, sight = channel.parameters.start + 9, channel.sight
+    (begin, end), elements = channel.held, int(memory.drv[strapdown.CALIBRATED])
+    arm = (channel.near.shape[1] - 12 - sight.clock, 3) if sight is not None and sight.arm else (0, 0)
+    kept = []
+    for at, count in (
+        (first + arm[0], arm[1]),
+        (first + begin, end - begin),
+        (8 + drive_output.shape[1] - elements, elements),
+    ):
+        kept.append((at, np.empty((1 + count, past.lanes(count)))))
+        past.keep_constants(memory.P, memory.x, *kept[-1])
+    return kept
+
+
+def withhold(memory: FilterMemory, channel: Channel, drive_output: Array, kept: list[tuple[int, Array]]) -> None:
+    """Take back what a reading that was used has told of constants by the error of the state; kept: see `keep`."""
+    P, x, drv, sight = memory.P, memory.x, memory.drv, channel.sight
+    (arm, of_arm), *others = kept
     if sight is not None and sight.arm:
-        own = channel.near.shape[1] - 12 - sight.clock
-        past.withhold(P, x, channel.near, K, S, res, own, first + own, drv, drive_output, np.empty(3))
-    if channel.sensor.hidden:
-        begin, end = channel.held
-        past.withhold_hidden(P, x, H, K, S, res, first + begin, np.empty(end - begin))
-    elements = int(drv[strapdown.CALIBRATED])
-    past.withhold_hidden(P, x, H, K, S, res, head - elements, np.empty(elements))
+        own = arm - channel.parameters.start - 9
+        past.withhold(P, x, channel.near, of_arm, own, arm, drv, drive_output, np.empty(3))
+    for (at, of), asked_for in zip(others, (channel.sensor.hidden, True), strict=True):
+        if asked_for:
+            past.withhold_hidden(P, x, channel.H, channel.K, of, at, np.empty(len(of) - 1))
 
 
 def _hold(channel: Channel, P: Array, before: Array) -> None:

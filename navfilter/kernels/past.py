@@ -263,42 +263,60 @@ def _square(sources):
 
 
 @_keyed
+def lanes(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def lanes(count):
+        """So many numbers are as many registers of eight: their elements."""
+        _ = sources
+        return (count + LANES - 1) // LANES * LANES
+
+    return lanes
+
+
+@_keyed
+def keep_constants(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def keep_constants(P, x, at, kept):
+        """Note what is known of constants from `at` on before a reading corrects, for `consider`.
+
+        kept (1 + constants, `lanes` of them): estimates; then their rows of P, from their columns on, or so many from
+        the end.
+        """
+        _ = sources
+        n, (rows, most), whole, to = P.shape[0], kept.shape, flat(P), flat(kept)
+        first = min(at, n - most)
+        for i in range(rows - 1):
+            kept[0, i] = x[at + i - 9]
+            for j in range(0, most, LANES):
+                put(to, (1 + i) * most + j, eight(whole, (at + i) * n + first + j))
+
+    return keep_constants
+
+
+@_keyed
 def consider(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def consider(P, x, K, S, res, at, untold):
+    def consider(P, x, kept, at, untold):
         """Take back what a reading has told of constants that are only considered (Schmidt, 1966): slopes and
-        correlations stay, and what the gain K (n, a) has made of the residual is undone, for their states and for their
-        variances. The smoother takes them for constants that walk by as much.
+        correlations with all else stay, and they are known as before. The smoother takes them for constants that walk
+        by as much.
 
-        S (2a, a): the residual's covariance first; untold: of the states from `at` on, not 0 for those that are so.
+        kept: see `keep_constants`; untold: of the states from `at` on, not 0 for those that are so.
         """
         _ = sources
-        (n, a), end, most = K.shape, at + untold.size, (untold.size + LANES - 1) // LANES * LANES
-        # of so many states that their number is a multiple of eight: their gains and, behind them, half of these times
-        # S, zeros for those that are not meant. P gains the products of both, each in both orders: it stays symmetric
-        # to the bit
-        first, rows = min(at, n - most), scratch(np.float64, 2 * a, most)
+        n, most, whole, given = P.shape[0], kept.shape[1], flat(P), flat(kept)
+        first, meant = min(at, n - most), flat(scratch(np.float64, int(1), most))
         for j in range(most):
-            i = first + j
-            meant = at <= i < end and untold[i - at] != 0.0
-            for c in range(a):
-                rows[c, j], half = K[i, c] if meant else 0.0, 0.0
-                for r in range(a if meant else 0):
-                    half += 0.5 * S[c, r] * K[i, r]
-                rows[a + c, j] = half
-        whole, given = flat(P), flat(rows)
-        for i in range(at, end):
-            if untold[i - at] == 0.0:
+            meant[j] = untold[first + j - at] if 0 <= first + j - at < untold.size else 0.0
+        for i in range(untold.size):
+            if untold[i] == 0.0:
                 continue
-            for c in range(a):
-                x[i - 9] -= K[i, c] * res[c]
+            x[at + i - 9] = kept[0, i]
             for j in range(0, most, LANES):
-                place, more = i * n + first + j, all_of(0.0)
-                for c in range(a):
-                    of, by = eight(given, c * most + j), eight(given, (a + c) * most + j)
-                    more = more + (times(all_of(rows[c, i - first]), by) + times(of, all_of(rows[a + c, i - first])))
-                put(whole, place, eight(whole, place) + more)
+                place, before = (at + i) * n + first + j, eight(given, (1 + i) * most + j)
+                put(whole, place, if_below(all_of(0.0), eight(meant, j), before, eight(whole, place)))
 
     return consider
 
@@ -307,7 +325,7 @@ def consider(sources):
 def withhold(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def withhold(P, x, near, K, S, res, own, at, drv, Cr, untold):
+    def withhold(P, x, near, kept, own, at, drv, Cr, untold):
         """Have a lever arm only considered where its slopes do not stand out of the noise of the gyros.
 
         A rate that is noise is in the attitude, too, and by gravity in what the next readings show: an arm would be
@@ -324,7 +342,7 @@ def withhold(sources):
         least = TOLD_ARM * TOLD_ARM * share * max(Cr[0, k], Cr[1, k], Cr[2, k])
         for i in range(3):
             untold[i] = 1.0 if _square(near, 9 + own + i) <= least else 0.0
-        consider(P, x, K, S, res, at, untold)
+        consider(P, x, kept, at, untold)
 
     return withhold
 
@@ -333,7 +351,7 @@ def withhold(sources):
 def withhold_hidden(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def withhold_hidden(P, x, H, K, S, res, at, untold):
+    def withhold_hidden(P, x, H, K, kept, at, untold):
         """Have constants only considered where what they do to a reading does not stand out of what the state's error
         does to it: scales and misalignments of an inertial unit, and of wheels.
 
@@ -341,24 +359,18 @@ def withhold_hidden(sources):
         reading that shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other
         constants explain, the slope stands in P, and so does the error. What is drawn draws others that go with it.
 
-        H (a, n): Jacobian; untold (constants,): work. The others: `consider`.
+        H (a, n), K (n, a): Jacobian and gain; untold (constants,): work. The others: `consider`.
         """
         _ = sources
-        a, known = H.shape[0], 0.0
+        a, known, first = H.shape[0], 0.0, min(at, P.shape[0] - kept.shape[1])
         for c in range(a):
             for i in range(H.shape[1]):
                 if H[c, i] != 0.0:
                     known += H[c, i] * K[i, c]
-        for q in range(untold.size):
-            i, told = at + q, 0.0
-            for c in range(a):
-                by = 0.0
-                for r in range(a):
-                    by += S[c, r] * K[i, r]
-                told += K[i, c] * by
-            before = P[i, i] + told
-            untold[q] = 1.0 if told < TOLD * TOLD * known * before * before else 0.0
-        consider(P, x, K, S, res, at, untold)
+        for i in range(untold.size):
+            before = kept[1 + i, at + i - first]
+            untold[i] = 1.0 if before - P[at + i, at + i] < TOLD * TOLD * known * before * before else 0.0
+        consider(P, x, kept, at, untold)
 
     return withhold_hidden
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, shifts, strapdown
-from navfilter.kernels.decorators import apart, flat, njit, shaped, standing
+from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped, standing
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -34,10 +34,11 @@ UNSURE_HEADING = 0.01
 # of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
 # (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
-# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge;
-# from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
-# parameters may be hidden by the state's error; whether nobody wants to know its transitions. One more row is for the drive: dimensions of a fold, addresses of its
-# steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
+# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge; from
+# which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
+# parameters may be hidden by the state's error; whether nobody wants to know its transitions. One more row is for the
+# drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three, in MEM its work
+# space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
@@ -206,6 +207,19 @@ def correction(sources):
         turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
         if spot[NORTH] >= 0:
             mem[places[8] + 3 + 2 * a + NORTH_WHITE] = R[spot[NORTH], spot[NORTH]]
+        # constants that may be told too much: a lever arm's, the sensor's own, the unit's
+        has_arm = spot[SIGHT] != 0 and bench[spot[FACTS] + past.ARM] != 0.0
+        by_arm, elements = parameters - 3 - int(timed), int(drv[strapdown.CALIBRATED])
+        arm, hidden, unit = start + errors + by_arm, start + errors + spot[HELD], m - elements
+        arm_kept = scratch(np.float64, int(4), past.lanes(int(3)))
+        hidden_kept = scratch(np.float64, 1 + slopes, past.lanes(slopes))
+        unit_kept = scratch(np.float64, 1 + elements, past.lanes(elements))
+        if has_arm:
+            past.keep_constants(P, x, arm, arm_kept)
+        if spot[HIDDEN]:
+            past.keep_constants(P, x, hidden, hidden_kept)
+        if elements:
+            past.keep_constants(P, x, unit, unit_kept)
         kalman.update(P, nav, x, C, R, mem, dims, limits)
         change = mem[places[4] + 1 : places[5]]
         change[0], change[1], change[2] = 0.0, 0.0, 0.0
@@ -217,15 +231,13 @@ def correction(sources):
                 if dims[7] < 0:
                     kalman.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
         if mem[places[8] + 2] != 0.0:
-            K, S = shaped(mem[places[1] : places[2]], n, a), shaped(mem[places[5] : places[6]], 2 * a, a)
-            if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0:
-                own = parameters - 3 - (bench[spot[FACTS] + past.CLOCK] != 0.0)
-                past.withhold(P, x, near, K, S, res, own, start + errors + own, drv, Cr, spare[:3])
+            K = shaped(mem[places[1] : places[2]], n, a)
+            if has_arm:
+                past.withhold(P, x, near, arm_kept, by_arm, arm, drv, Cr, spare[:3])
             if spot[HIDDEN]:
-                past.withhold_hidden(P, x, H, K, S, res, start + errors + spot[HELD], spare[:slopes])
-            elements = int(drv[strapdown.CALIBRATED])
+                past.withhold_hidden(P, x, H, K, hidden_kept, hidden, spare[:slopes])
             if elements:
-                past.withhold_hidden(P, x, H, K, S, res, m - elements, spare[:elements])
+                past.withhold_hidden(P, x, H, K, unit_kept, unit, spare[:elements])
 
     return correction
 
