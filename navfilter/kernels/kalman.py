@@ -406,17 +406,27 @@ def _across(T, M, rows, begin):
 
 
 @njit(cache=True, **UNCOUNTED)
+def _nonzero(numbers):
+    """How many of some numbers are not 0."""
+    count, rest = 0, numbers.size % WIDE
+    for i in range(0, numbers.size - rest, WIDE):
+        count += not_zero(eight(numbers, i))
+    for i in range(numbers.size - rest, numbers.size):
+        count += numbers[i] != 0.0
+    return count
+
+
+@njit(cache=True, **UNCOUNTED)
 def _moving(acc):
     """How many of the leading states a compound transition moves: those behind them are constants, which it leaves as
     they are, and which gather no noise.
     """
-    m = acc.shape[1]
+    m, whole = acc.shape[1], flat(acc)
     k = m
     while k > 9 and acc[m + k - 1, k - 1] == 0.0 and acc[k - 1, k - 1] == 1.0:
-        first, last = _reach(acc[k - 1], k - 1)
-        if last - first != 1:
-            break
         k -= 1
+    while _nonzero(whole[k * m : m * m]) != m - k:  # one of them moves by another
+        k += 1
     return k
 
 
@@ -489,15 +499,10 @@ def unmoved(A):
     m = A.shape[1]
     if A[0, 3] != 0.0:
         return False  # velocity moves the position: nearly every other one ends here
-    whole, others, diagonal = flat(A), 0, 0
-    rest = whole.size % WIDE
-    for i in range(0, whole.size - rest, WIDE):
-        others += not_zero(eight(whole, i))
-    for i in range(whole.size - rest, whole.size):
-        others += whole[i] != 0.0
+    diagonal = 0
     for i in range(m):
         diagonal += A[i, i] == 1.0
-    return others == diagonal == m
+    return diagonal == m == _nonzero(flat(A))
 
 
 @apart

@@ -73,8 +73,8 @@ def drive_outputs(sources):
             errors[i] = s
         for q in range(elements):
             element, j = int(drv[strapdown.ELEMENTS + q]), k - elements + q
-            channel = element // 3
-            rows[channel, j] = drv[strapdown.PREVIOUS + 3 * (channel // 3) + element % 3] / per
+            channel = strapdown.OF_READING[element]
+            rows[channel, j] = drv[strapdown.PREVIOUS + strapdown.BY_AXIS[element]] / per
             errors[channel] += rows[channel, j] * xd[j]
 
     return drive_outputs

@@ -73,6 +73,8 @@ SCALE_STEP = 87
 # An inertial unit that is not calibrated, true = reading - M reading - errors: how many elements of M are states, the
 # last of the drive's; which they are (3 * channel + axis each); and what all 18 are thought to be, 0 for the others.
 CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
+# Which of the six readings an element of M is for, and by which of them it goes.
+OF_READING, BY_AXIS = np.arange(18) // 3, np.arange(18) // 9 * 3 + np.arange(18) % 3
 # Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
 CURRENT = 125
 # 1: accelerations carry the velocity, see `kalman.discount_heading`.
@@ -780,8 +782,8 @@ def _which_errors(Cr, drv, constants, seen, gain):
     noisy = count
     for q in range(elements):
         element, state = int(drv[ELEMENTS + q]), Cr.shape[1] - 1 - elements + q
-        reading, column = element // 3, 9 + state
-        seen[0, count], seen[1, count], seen[2, count] = reading, state, 3 * (reading // 3) + element % 3
+        reading, column = OF_READING[element], 9 + state
+        seen[0, count], seen[1, count], seen[2, count] = reading, state, BY_AXIS[element]
         seen[3, count] = (6 * (column // WIDE) + reading) * WIDE + column % WIDE
         gain[count] = 0.0
         count += 1
