@@ -1955,15 +1955,13 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     velocity, turns = nav[3:6].copy(), drv[142] and turns_along(P, nav[3:5])
     if spot[31] >= 0:
         mem[places_[9] - 2] = R[spot[31], spot[31]]
-    kept, elements = [], int(drv[88])
-    arm = par - 3 - int(bench[facts + 1]) if seen and bench[facts] else 0
-    for where, count in (
-        (start + errors + arm, 3),
-        (start + errors + held_from, held_to - held_from),
-        (m - elements, elements),
-    ):
-        kept.append(np.zeros((1 + count, lanes(count))))
-        keep_constants(P, x, where, kept[-1])
+    before, x_before, elements = P.copy(), x.copy(), int(drv[88])
+
+    def kept(where, count):
+        known = np.zeros((1 + count, lanes(count)))
+        keep_constants(before, x_before, where, known)
+        return known
+
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
     change = mem[places_[4] + 1 : places_[5]]
     change[:] = 0.0
@@ -1976,10 +1974,13 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if mem[places_[8] + 2]:
         K = mem[places_[1] : places_[2]].reshape(n, a)
         if seen and bench[facts]:
-            withhold(P, x, near, kept[0], arm, start + errors + arm, drv, Cr, np.empty(3))
+            arm = par - 3 - int(bench[facts + 1])
+            where = start + errors + arm
+            withhold(P, x, near, kept(where, 3), arm, where, drv, Cr, np.empty(3))
         if spot[32]:
-            withhold_hidden(P, x, H, K, kept[1], start + errors + held_from, np.empty(held_to - held_from))
-        withhold_hidden(P, x, H, K, kept[2], m - elements, np.empty(elements))
+            where, count = start + errors + held_from, held_to - held_from
+            withhold_hidden(P, x, H, K, kept(where, count), where, np.empty(count))
+        withhold_hidden(P, x, H, K, kept(m - elements, elements), m - elements, np.empty(elements))
 
 
 def heeded(w, nav, P, period_s):

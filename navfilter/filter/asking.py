@@ -160,17 +160,14 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
 
 def keep(memory: FilterMemory, channel: Channel, drive_output: Array) -> list[tuple[int, Array]]:
     """Constants that a reading may tell too much of, before it corrects: where those of a lever arm begin, of the
-    sensor, and of the unit, and what `past.keep_constants` notes of them.
+    sensor, and of the unit, and what `past.keep_constants` notes of them; nothing where there are none.
     """
-    first, sight = channel.parameters.start + 9, channel.sight
-    (begin, end), elements = channel.held, int(memory.drv[strapdown.CALIBRATED])
-    arm = (channel.near.shape[1] - 12 - sight.clock, 3) if sight is not None and sight.arm else (0, 0)
+    first, sight, (begin, end) = channel.parameters.start + 9, channel.sight, channel.held
+    elements, head = int(memory.drv[strapdown.CALIBRATED]), 8 + drive_output.shape[1]
+    arm = (first + channel.near.shape[1] - 12 - sight.clock, 3) if sight is not None and sight.arm else (first, 0)
+    own = (first + begin, end - begin) if channel.sensor.hidden else (first, 0)
     kept = []
-    for at, count in (
-        (first + arm[0], arm[1]),
-        (first + begin, end - begin),
-        (8 + drive_output.shape[1] - elements, elements),
-    ):
+    for at, count in (arm, own, (head - elements, elements)):
         kept.append((at, np.empty((1 + count, past.lanes(count)))))
         past.keep_constants(memory.P, memory.x, *kept[-1])
     return kept
@@ -178,14 +175,13 @@ def keep(memory: FilterMemory, channel: Channel, drive_output: Array) -> list[tu
 
 def withhold(memory: FilterMemory, channel: Channel, drive_output: Array, kept: list[tuple[int, Array]]) -> None:
     """Take back what a reading that was used has told of constants by the error of the state; kept: see `keep`."""
-    P, x, drv, sight = memory.P, memory.x, memory.drv, channel.sight
-    (arm, of_arm), *others = kept
-    if sight is not None and sight.arm:
-        own = arm - channel.parameters.start - 9
-        past.withhold(P, x, channel.near, of_arm, own, arm, drv, drive_output, np.empty(3))
-    for (at, of), asked_for in zip(others, (channel.sensor.hidden, True), strict=True):
-        if asked_for:
-            past.withhold_hidden(P, x, channel.H, channel.K, of, at, np.empty(len(of) - 1))
+    P, x, drv = memory.P, memory.x, memory.drv
+    (arm, known), *others = kept
+    if len(known) > 1:
+        by_arm = arm - channel.parameters.start - 9
+        past.withhold(P, x, channel.near, known, by_arm, arm, drv, drive_output, np.empty(3))
+    for at, known in others:
+        past.withhold_hidden(P, x, channel.H, channel.K, known, at, np.empty(len(known) - 1))
 
 
 def _hold(channel: Channel, P: Array, before: Array) -> None:
