@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from navfilter.filter.belief import beyond_belief, is_calm
 from navfilter.kernels import addresses, kalman, measurement, past, strapdown, stretch
 from navfilter.kernels.addresses import address
+from navfilter.kernels.registers import LANES
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
@@ -168,7 +169,7 @@ def keep(memory: FilterMemory, channel: Channel, drive_output: Array) -> list[tu
     own = (first + begin, end - begin) if channel.sensor.hidden else (first, 0)
     kept = []
     for at, count in (arm, own, (head - elements, elements)):
-        kept.append((at, np.empty((1 + count, past.lanes(count)))))
+        kept.append((at, np.empty((1 + count, -(-count // LANES) * LANES))))
         past.keep_constants(memory.P, memory.x, *kept[-1])
     return kept
 
