@@ -4,8 +4,9 @@ Each sensor that errs in a coloured way is described within a factor of two, and
 are replayed by the vehicle that is told the truth (`oracle`) and by the description as it stands (`vehicle`), forward
 as first given out and smoothed. Printed, slot by slot: NEES of position and heading, mean over the missions, of the
 learnt model the largest, too, and root mean squares of horizontal position and heading over those of the oracle. 1 is
-honest; errors are so slow that the mean of six missions of the truth itself is between 0.4 and 2. Its rivals are the
-two other vehicles; there is no other software in it.
+honest; errors are so slow that the mean of six missions of the truth itself is between 0.4 and 2. With `--within 2 3`
+the learnt model is told how far its description is believed, and with `--wrong` that is as wrong as wanted. Its rivals
+are the two other vehicles; there is no other software in it.
 """
 
 from __future__ import annotations
@@ -17,15 +18,17 @@ from typing import Any
 import numpy as np
 from faults_outcomes import ahrs, beams, magnetometer, ranges, water, wheels, with_others
 from harness import Options, Table, flag, main, quick
-from honest_constants import ARM, DEVIATION, MOTIONS, SCALE, unsure
+from honest_constants import ARM, DEVIATION, SCALE, unsure
+from honest_constants import MOTIONS as DIVES
 
 import navfilter as nf
 from navfilter.simulation.faults import Faults
-from navfilter.simulation.scenarios import reckoning_vehicle, survey_vehicle
+from navfilter.simulation.scenarios import reckoning_vehicle, survey_vehicle, transit
 from navfilter.simulation.simulate import simulate
 
 DEG = math.pi / 180.0
-SLOTS = ((60.0, 120.0), (120.0, 520.0), (520.0, 1200.0))
+SLOTS = ((60.0, 120.0), (120.0, 520.0), (520.0, 1200.0), (1200.0, 2700.0), (2700.0, 5400.0))
+MOTIONS = {**DIVES, "transit": transit}
 Model = nf.ErrorModel | tuple[nf.ErrorModel, ...]
 SIDEWAYS = nf.White(sd=0.05)
 #: What sensors do, and what is said of them.
@@ -96,23 +99,34 @@ def described(case: str, mems: bool) -> tuple[nf.Vehicle, dict[str, tuple[Model,
     return vehicle, errors, fixes
 
 
-def learnt(prior: Model) -> Any:
+def learnt(prior: Model, within: list[float] | None) -> Any:
     """Learns, axis by axis, what is not said to be white."""
     if isinstance(prior, tuple):
-        return tuple(one if isinstance(one, nf.White) else nf.LearnedArma(prior=one) for one in prior)
-    return nf.LearnedArma(prior=prior)
+        return tuple(one if isinstance(one, nf.White) else learnt(one, within) for one in prior)
+    return nf.LearnedArma(prior=prior, prior_within=within)
 
 
-def runs(case: str, mems: bool, motion: str, seed: int, seconds: float) -> dict[str, np.ndarray]:
+def worse(model: Model, sd: float, tau: float) -> Model:
+    """The description with the sizes and times of its slow errors multiplied."""
+    if isinstance(model, tuple):
+        return tuple(worse(one, sd, tau) for one in model)  # type: ignore[misc]
+    if isinstance(model, nf.GaussMarkov):
+        return nf.GaussMarkov(sd=sd * model.sd, tau_s=tau * model.tau_s, order=model.order)
+    parts = getattr(model, "parts", ())
+    return sum((worse(part, sd, tau) for part in parts[1:]), worse(parts[0], sd, tau)) if parts else model  # type: ignore
+
+
+def runs(case: str, options: Options, mems: bool, seed: int, seconds: float) -> dict[str, np.ndarray]:
     """One mission by each vehicle: (2 tracks, slots, 4) of position and heading, NEES first."""
     vehicle, errors, fixes = described(case, mems)
+    errors = {name: (truth, worse(prior, *options.wrong)) for name, (truth, prior) in errors.items()}
     vehicles = {
         "oracle": vehicle.with_error(**{name: truth for name, (truth, _) in errors.items()}),
-        "learnt": vehicle.with_error(**{name: learnt(prior) for name, (_, prior) in errors.items()}),
+        "learnt": vehicle.with_error(**{name: learnt(prior, options.within) for name, (_, prior) in errors.items()}),
         "vehicle": vehicle.with_error(**{name: prior for name, (_, prior) in errors.items()}),
     }
     at = {"gps": Faults(available="always" if fixes else "surface")}
-    mission = simulate(vehicles["oracle"], MOTIONS[motion](seconds), seed=seed, duration_s=seconds, faults=at)
+    mission = simulate(vehicles["oracle"], MOTIONS[options.motion](seconds), seed=seed, duration_s=seconds, faults=at)
     found = {}
     for name, one in vehicles.items():
         smoothed = nf.replay(one, mission, smooth=True, output_rate_hz=1.0)
@@ -142,7 +156,7 @@ def honest_kinds(options: Options) -> list[dict[str, Any]]:
         if options.only not in case:
             continue
         for unit in ("tactical",) if case == "reckoning" else options.units:
-            drawn = [runs(case, unit == "mems", options.motion, seed, seconds) for seed in seeds]
+            drawn = [runs(case, options, unit == "mems", seed, seconds) for seed in seeds]
             of = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
             rms = {name: np.sqrt(values.mean(0)) for name, values in of.items()}
             for t, s, k in np.ndindex(2, len(SLOTS), 2):
@@ -163,6 +177,15 @@ if __name__ == "__main__":
         flag("--seed", type=int, default=941, help="the first of their seeds"),
         flag("--minutes", type=float, default=20.0),
         flag("--motion", choices=list(MOTIONS), default="lawnmower"),
+        flag("--within", nargs=2, type=float, metavar="FACTOR", help="believe the description so far: sd, time"),
+        flag(
+            "--wrong",
+            nargs=2,
+            type=float,
+            metavar="FACTOR",
+            default=[1.0, 1.0],
+            help="described so much larger, longer",
+        ),
         flag("--units", nargs="+", choices=["tactical", "mems"], default=["tactical", "mems"]),
         flag("--only", default="", help="only what contains this"),
         quick("one mission of 200 s each"),

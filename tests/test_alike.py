@@ -11,7 +11,8 @@ import navfilter.learning.learner as learner_module
 from navfilter.learning.alike import APART, alike
 from navfilter.learning.drift import Drift
 from navfilter.learning.learner import Learner, hop_together
-from navfilter.learning.posterior import ABSENT, Line, _weighed, slow_psd
+from navfilter.learning.nearest import slow_psd
+from navfilter.learning.posterior import ABSENT, Line, _weighed
 from navfilter.learning.slow import SlowPrior
 from navfilter.simulation.faults import draw_error
 

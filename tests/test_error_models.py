@@ -60,6 +60,7 @@ def test_gauss_markov_falls_to_one_over_e_at_tau(order):
     assert autocovariance(block, 2)[1] == pytest.approx(4.0 * math.exp(-1.0), abs=1e-5)
 
 
+SLOW = nf.GaussMarkov(sd=1.0, tau_s=30.0)
 ARMAS = [
     ((), (), 0.3),
     ((-0.8,), (), 0.6),
@@ -174,6 +175,11 @@ def test_simulated_errors_have_the_autocovariance(model):
             r"dvl\.error needs one error model, or a tuple of 3",
         ),
         (lambda: per_axis(0.1, 3, "dvl.error"), "found 0.1"),
+        (lambda: nf.LearnedArma(prior=SLOW, prior_within=2.0), r"prior_within must be two factors.*found 2\.0"),
+        (lambda: nf.LearnedArma(prior=SLOW, prior_within=(2.0, 1.0)), r"at least 1\.1.*found \(2\.0, 1\.0\)"),
+        (lambda: nf.LearnedArma(prior=SLOW, prior_within=(2.0, math.nan)), "found .2.0, nan."),
+        (lambda: nf.LearnedArma(prior_within=(2.0, 3.0)), "the prior has none, found None"),
+        (lambda: nf.LearnedArma(prior=nf.White(sd=1.0), prior_within=(2.0, 3.0)), "the prior has none, found White"),
     ],
 )
 def test_wrong_models_are_refused(build, message):

@@ -13,7 +13,8 @@ from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.learning.drift import Drift
 from navfilter.learning.learner import Learner, LearnerMemory
 from navfilter.learning.likelihood import Likelihood, maximise
-from navfilter.learning.posterior import Line, slow_psd
+from navfilter.learning.nearest import slow_psd
+from navfilter.learning.posterior import Line
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spikes import without_spikes
 

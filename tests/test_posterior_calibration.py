@@ -9,7 +9,7 @@ import navfilter as nf
 import navfilter.learning.learner as learner_module
 from navfilter.learning.drift import Drift
 from navfilter.learning.learner import Learner
-from navfilter.learning.posterior import slow_psd
+from navfilter.learning.nearest import slow_psd
 from navfilter.learning.slow import SlowPrior
 from navfilter.simulation.faults import draw_error
 

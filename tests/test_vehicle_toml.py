@@ -64,6 +64,9 @@ LEARNING = Vehicle(
             rate_hz=8.0,
             error=LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=30.0), orders=((1, 0), (4, 4)), window=2000, hop=7),
         ),
+        "known": Heading(
+            rate_hz=8.0, error=LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=30.0), prior_within=(2.0, 3.0))
+        ),
         "sum": Depth(error=White(sd=0.01) + LearnedArma(prior=White(sd=0.1) + RandomWalk(density=1e-3))),
         "adopted": Depth(error=LearnedArma(model=ADOPTED)),
         "slow": Depth(error=LearnedArma(model=ADOPTED, slow=GaussMarkov(sd=0.1, tau_s=60.0))),

@@ -215,7 +215,9 @@ def describe_error(model: ErrorModel, unit: str, period_s: float, at_rest: bool 
         lines.append(f"{'+ ' if k else ''}{_part(part, unit, period_s, at_rest)}")
         if isinstance(part, LearnedArma) and part.model is None and part.prior is not None:
             before = [_part(inner, unit, period_s) for inner in getattr(part.prior, "parts", (part.prior,))]
-            lines.append(f"  until then {' + '.join(before)}")
+            within = part.prior_within
+            so_far = f"; believed within a factor of {within[0]:g} in sd, {within[1]:g} in time" if within else ""
+            lines.append(f"  until then {' + '.join(before)}{so_far}")
     return [*lines, *_low_frequencies(model.block(period_s), unit, period_s)]
 
 

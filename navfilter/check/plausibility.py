@@ -13,7 +13,9 @@ from navfilter.check.finding import Finding
 from navfilter.constants import ROOT_HOUR
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.filter.layout import Layout
+from navfilter.learning.belief import span_s
 from navfilter.learning.learned import LearnedArma
+from navfilter.learning.slow import slow_prior
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
 from navfilter.sensors.traits import Plausible
@@ -207,6 +209,17 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
                 f"{part.window} readings are {duration(part.window * period_s)} of this sensor.",
                 cure,
             )
+        if part.prior_within and part.prior:
+            usual, known = (
+                slow_prior(part.prior, period_s, span_s(part, period_s), within=within)
+                for within in (None, part.prior_within)
+            )
+            if usual and usual == known:
+                yield _warn(
+                    f"{place}.prior_within",
+                    f"the prior has no slow error, of {duration(float(usual.taus_s[0]))} or slower, to be believed.",
+                    "Quicker ones the readings show: leave prior_within out.",
+                )
         for k, prior in enumerate(getattr(part.prior, "parts", (part.prior,))):
             if prior is not None:
                 inner = f"{place}.prior[{k}]" if isinstance(part.prior, Sum) else f"{place}.prior"

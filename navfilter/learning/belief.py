@@ -53,7 +53,7 @@ def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, wi
 
 def believed(part: LearnedArma, period_s: float, is_hidden: bool = False) -> SlowPrior | None:
     """The prior of the slow error of a part that learns at this period."""
-    return slow_prior(part.prior or part, period_s, span_s(part, period_s), is_hidden)
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s), is_hidden, part.prior_within)
 
 
 def span_s(part: LearnedArma, period_s: float) -> float:

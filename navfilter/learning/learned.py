@@ -48,6 +48,8 @@ LONGEST_SPAN_S = 500.0
 #: Colour is described as quick if its correlation time is shorter than this part of the window's span [1], see
 #: `navfilter.learning.quick`.
 QUICKER = 200.0
+#: A description is believed within this factor at best [1]: below, the axes of one instrument differ by more.
+LEAST_FACTOR = 1.1
 
 
 @dataclass(frozen=True)
@@ -78,13 +80,19 @@ class LearnedArma(ErrorModel):
         Keep `model` and learn nothing more: what one dive has taught, used on the next.
     spectrum : Spectrum, optional
         Of the whole error, with its uncertainty; for reports. It is not written to files, and not compared.
+    prior_within : (float, float), optional
+        Factors within which the standard deviation and the correlation time of `prior` are believed, one standard
+        deviation of their logarithms; the slow part is then as large and as slow as described. For a sensor whose slow
+        error is known: a drift hides it, and what is not known of it is carried as an error that may last. Default: a
+        data sheet, which states the whole of an error; its slow part is believed to be half as large and twice as
+        slow, within (2.7, 7.4).
 
     Raises
     ------
     ValueError
         For a window from which nothing could ever be learnt (below 103 samples, more for large orders), an empty or
-        impossible list of orders, a model that is not stable, a slow part
-        that is not Gauss-Markov, and `slow` or `frozen` without a model.
+        impossible list of orders, a model that is not stable, a slow part that is not Gauss-Markov, `slow` or `frozen`
+        without a model, factors below 1.1, and `prior_within` without a prior whose error is coloured.
 
     Notes
     -----
@@ -110,6 +118,7 @@ class LearnedArma(ErrorModel):
     slow: ErrorModel | None = None
     frozen: bool = False
     spectrum: Spectrum | None = field(default=None, compare=False)
+    prior_within: tuple[float, float] | None = None
 
     if TYPE_CHECKING:  # what is handed over becomes what the fields are
 
@@ -123,6 +132,7 @@ class LearnedArma(ErrorModel):
             slow: ErrorModel | None = None,
             frozen: bool = False,
             spectrum: Spectrum | None = None,
+            prior_within: Sequence[float] | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -150,6 +160,8 @@ class LearnedArma(ErrorModel):
                 f"LearnedArma.prior must be a fixed error model, found {self.prior!r}. Example: GaussMarkov(sd=0.01, "
                 "tau_s=30)."
             )
+        if self.prior_within is not None:
+            object.__setattr__(self, "prior_within", self._believed())
         if self.model is not None and not isinstance(self.model, ArmaModel):
             raise ValueError(
                 f"LearnedArma.model must be an ArmaModel, found {self.model!r}. Example: ArmaModel([-0.8], [], 0.01)."
@@ -172,6 +184,26 @@ class LearnedArma(ErrorModel):
             raise ValueError(
                 "LearnedArma(frozen=True) has no model to keep. Give it one, or leave frozen out and it learns one."
             )
+
+    def _believed(self) -> tuple[float, ...]:
+        """The factors of `prior_within`, looked over."""
+        try:
+            factors = tuple(float(one) for one in self.prior_within or ())
+        except (TypeError, ValueError):
+            factors = ()
+        if len(factors) != 2 or not all(LEAST_FACTOR <= one < math.inf for one in factors):
+            raise ValueError(
+                f"LearnedArma.prior_within must be two factors of at least {LEAST_FACTOR}, of the standard deviation "
+                f"and of the correlation time, found {self.prior_within!r}. Example: (2, 3). What is known better "
+                "need not be learnt."
+            )
+        parts = self.prior.parts if isinstance(self.prior, Sum) else (self.prior,)
+        if all(part is None or isinstance(part, White | RandomWalk) for part in parts):
+            raise ValueError(
+                f"LearnedArma.prior_within says how far a slow error is believed, but the prior has none, found "
+                f"{self.prior!r}. Give it one: GaussMarkov(sd=..., tau_s=...), or leave prior_within out."
+            )
+        return factors
 
     def block(self, period_s: float) -> Block:
         """Discretise: the model in force, else the prior.

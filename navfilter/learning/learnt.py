@@ -12,7 +12,8 @@ from scipy.special import ndtri
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import GaussMarkov
 from navfilter.learning.likelihood import Likelihood, Point
-from navfilter.learning.posterior import SlowPosterior, slow_psd
+from navfilter.learning.nearest import slow_psd
+from navfilter.learning.posterior import SlowPosterior
 from navfilter.learning.spectrum import Spectrum, log_spread
 
 __all__ = ["Learnt", "fast_model", "learnt_from"]

@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
+from navfilter.error_models import GaussMarkov
 from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.nearest import nearest
 from navfilter.learning.slow import SlowNode, SlowPrior
 
-__all__ = ["Line", "SlowPosterior", "denied", "follow", "slow_psd"]
+__all__ = ["Line", "SlowPosterior", "denied", "follow"]
 
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
@@ -46,8 +47,6 @@ FLATTEST = 0.5
 DEAD = 9.0
 #: Steps between two nodes of ln tau.
 STEPS = 5
-#: A part with less than this of the slow variance is left out.
-LEAST_SHARE = 1e-4
 
 
 class Line(NamedTuple):
@@ -113,44 +112,8 @@ class SlowPosterior:
         return replace(self, weight=weight, moments=moments)
 
     def parts(self) -> tuple[GaussMarkov, ...]:
-        """At most two processes whose sum has the mean variance of the posterior, its zero-frequency power and, where
-        they are of first order, its driving noise.
-
-        The mean covariance function is a sum over all nodes: what is quicker than its mean ln tau goes into one
-        process, what is slower into another, so that a few long correlation times do not make all of it slow. The
-        quicker one takes the driving noise, which is what the next reading shows; the slower one what is left of S(0).
-        """
-        order, tau, variance = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2] * self.moments[:, 3]
-        total = float(variance.sum())
-        if not total > 0.0:
-            return ()
-        quick = np.log(tau) <= float(variance @ np.log(tau)) / total
-        halves = [half for half in (quick, ~quick) if float(variance[half].sum()) > LEAST_SHARE * total]
-        sizes = [float(variance[half].sum()) for half in halves]
-        means = [float(variance[half] @ tau[half]) / size for half, size in zip(halves, sizes, strict=True)]
-        orders = [
-            2 if float(variance[half & (order == 2)].sum()) > 0.5 * size else 1
-            for half, size in zip(halves, sizes, strict=True)
-        ]
-        if orders == [1, 1]:
-            power = sizes[0] * means[0] + sizes[1] * means[1]
-            driving = float((variance / tau)[order == 1].sum()) - sizes[1] / means[1]
-            means[0] = min(means[0], max(sizes[0] / max(driving, 1e-300), float(tau.min())))
-            means[1] = (power - sizes[0] * means[0]) / sizes[1]
-        return tuple(
-            GaussMarkov(sd=math.sqrt(size), tau_s=mean, order=n)
-            for size, mean, n in zip(sizes, means, orders, strict=True)
-        )
-
-
-def slow_psd(order: Array, sd: Array, tau_s: Array, frequency_hz: Array) -> Array:
-    """One-sided power spectral density of Gauss-Markov processes [unit^2/Hz], shape (nodes, frequencies)."""
-    beta = np.array([CORRELATION_CONSTANTS[1], CORRELATION_CONSTANTS[2]])[np.asarray(order, int) - 1] / tau_s
-    w2 = (2.0 * np.pi * np.asarray(frequency_hz)) ** 2
-    b, s2 = beta[:, None], np.square(sd)[:, None]
-    first = 4.0 * s2 * b / (b**2 + w2)
-    second = 8.0 * s2 * b**3 / (b**2 + w2) ** 2
-    return np.asarray(np.where(np.asarray(order)[:, None] == 2, second, first))
+        """At most two processes that stand for all: the mean covariance function is a sum over all nodes."""
+        return nearest(self.moments)
 
 
 def follow(

@@ -137,7 +137,13 @@ def described_blocks(model: ErrorModel, period_s: float) -> tuple[Block, ...]:
     return tuple(part.block(period_s) for part in parts if not isinstance(part, RandomWalk))
 
 
-def slow_prior(model: ErrorModel, period_s: float, span_s: float, is_hidden: bool = False) -> SlowPrior | None:
+def slow_prior(
+    model: ErrorModel,
+    period_s: float,
+    span_s: float,
+    is_hidden: bool = False,
+    within: tuple[float, float] | None = None,
+) -> SlowPrior | None:
     """The prior of the slow part from an error model of the vehicle file; None where it has white noise alone.
 
     Parameters
@@ -150,6 +156,9 @@ def slow_prior(model: ErrorModel, period_s: float, span_s: float, is_hidden: boo
         Time that the window holds [s].
     is_hidden : bool
         Readings tell little of slow errors.
+    within : (float, float), optional
+        Factors within which the model is believed, as it stands, in standard deviation and correlation time. A model
+        that is quicker than any slow error says nothing of one.
     """
     blocks = described_blocks(model, period_s)
     variance = sum(float(block.C @ block.P0 @ block.C) for block in blocks)
@@ -157,8 +166,11 @@ def slow_prior(model: ErrorModel, period_s: float, span_s: float, is_hidden: boo
         return None
     # of a Gauss-Markov process S(0) is twice variance times correlation time
     power = sum(block_level(block) - block.r for block in blocks) * period_s
-    white, tau_s = sum(block.r for block in blocks), max(SLOWER * power / (2.0 * variance), span_s / 50.0)
-    return SlowPrior(math.sqrt(variance), tau_s, span_s, white, is_hidden)
+    white, sd, tau_s = sum(block.r for block in blocks), math.sqrt(variance), power / (2.0 * variance)
+    if within is None or tau_s < span_s / 50.0:
+        return SlowPrior(sd, max(SLOWER * tau_s, span_s / 50.0), span_s, white, is_hidden)
+    spread, tau_spread = math.log(within[0]), math.log(within[1])
+    return SlowPrior(sd, tau_s, span_s, white, is_hidden, median=1.0, spread=spread, tau_spread=tau_spread)
 
 
 def drift_chain(drift: Drift, unit: float) -> Array:
