@@ -35,6 +35,7 @@ FLOORS = [
         "learning.limits",
         "learning.spikes",
         "learning.spectrum",
+        "learning.nearest",
         "learning.slow",
         "learning.effort",
         "learning.likelihood",

@@ -15,9 +15,9 @@ __all__ = ["nearest", "slow_psd"]
 Array = NDArray[np.float64]
 
 #: Shares of the variance that the quicker process is tried with.
-SHARES = np.linspace(0.05, 0.95, 19)
+QUICK_SHARES = np.linspace(0.05, 0.95, 19)
 #: So many correlation times are tried for it, by equal ratios.
-TIMES = 24
+QUICK_TIMES = 24
 #: Frequencies that are compared, by equal ratios: from a tenth of the knee of the slowest process, where all are flat,
 #: to three times that of the quickest, from where on all fall as they go on.
 OCTAVES, BELOW, ABOVE = 17, 0.1, 3.0
@@ -46,7 +46,7 @@ def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
     slowest, quickest = float(tau.max()), float(tau.min())
     frequency = np.geomspace(BELOW / (2.0 * np.pi * slowest), ABOVE / (2.0 * np.pi * quickest), OCTAVES)
     truth = variance @ slow_psd(order, np.ones(tau.size), tau, frequency) / total
-    share, quick = (one.ravel() for one in np.meshgrid(SHARES, np.geomspace(quickest, mean, TIMES)))
+    share, quick = (one.ravel() for one in np.meshgrid(QUICK_SHARES, np.geomspace(quickest, mean, QUICK_TIMES)))
     # what is quicker than the mean ln tau, and what is slower: exact where there are two
     half = np.log(tau) <= float(variance @ np.log(tau)) / total
     size = float(variance[half].sum())
