@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import shifts
 from navfilter.filter.history import Reading
 from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
@@ -100,11 +99,7 @@ class Beginning:
         other = twin.arrived()
         if not (learning.compares and learning.is_no_better(other.learning)):
             _change_places(nav, other)
-        self._worker.later(partial(self._part_with, other))
-
-    def _part_with(self, run: Navigator) -> None:
-        """Free what is left of a run, on the thread."""
-        self._worker.begin(partial(_let_go, run))
+        self._worker.later(partial(self._worker.begin, partial(_let_go, twin)))
 
     def _follow(self, again: Again) -> None:
         """Make a twin, where the beginning is still to be done again so."""
@@ -121,13 +116,16 @@ def _change_places(nav: Navigator, other: Navigator) -> None:
     nav.learning.filter, before = nav.filter, nav.learning.beginning
     nav.learning.memory = other.learning.memory
     other.learning.beginning = before
+    nav.changes += 1
 
 
-def _let_go(run: Navigator) -> None:
-    """Free what is left of a run. Its parts refer to each other: Python's collector would come upon them in the middle
-    of a call.
+def _let_go(twin: Twin) -> None:
+    """Free what is left of a run, on the thread. Its parts refer to each other: Python's collector would come upon them
+    in the middle of a call. And a `Prompt` that has not been asked since has its filter in hand, and would free it.
     """
-    vars(run).clear()
+    run = twin.run
+    for part in (run.filter.memory, *run.filter.channels.values(), run.filter, run):
+        vars(part).clear()
 
 
 class Twin:
@@ -153,7 +151,7 @@ class Twin:
         self.again, self._worker, self._close_s = again, worker, nav.learning.early_s - self.CLOSE_S
         self._inputs: deque[Array | Reading] = deque()
         learning = copied(nav.learning.memory)
-        learning.beginning = learning.beginning and learning.beginning.shared()
+        learning.beginning = learning.beginning and learning.beginning.so_far()
         self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
         self._drained: Future[Any] | None = None
         #: A fork may have been made in the middle of its work, and has no thread that would end it.
@@ -179,8 +177,13 @@ class Twin:
         if self._drained is not None:
             self._drained.result()
         self._drain()
-        twin: Navigator = self._task.answer()
-        return twin
+        return self.run
+
+    @property
+    def run(self) -> Navigator:
+        """Itself."""
+        run: Navigator = self._task.answer()
+        return run
 
 
 def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Navigator:
@@ -193,7 +196,6 @@ def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float
             twin.listen(name, memory.ring.shape[1])
     twin.learning.memory = learning
     _begin_again(twin, again, until_s, now_s)
-    _ = twin.filter.layout.constants, shifts.looking(twin.filter)  # asked for soon after it has taken a place
     return twin
 
 

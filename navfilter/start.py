@@ -10,6 +10,7 @@ import numpy as np
 
 from navfilter import utc
 from navfilter.descriptions import Typed
+from navfilter.kernels import strapdown
 from navfilter.state import NavState, matrix_from_euler
 
 __all__ = ["Start"]
@@ -87,3 +88,10 @@ class Start(Typed):
         P = np.diag(np.concatenate([*sd, [tilt, tilt, heading]]) ** 2)
         place = (math.radians(self.latitude_deg), math.radians(self.longitude_deg), float(self.height_m))
         return NavState(float(self.time_s), *place, np.asarray(self.velocity_n, dtype=float), C, P)
+
+    def way_to(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """How far a place [rad] is from here, north and east [m]: as `NavState.minus` says, in plain numbers."""
+        own = math.radians(self.latitude_deg)
+        (meridian, prime), turn = strapdown.radii(own), longitude - math.radians(self.longitude_deg)
+        east = ((turn + math.pi) % math.tau - math.pi) * (prime + self.height_m) * math.cos(own)
+        return (latitude - own) * (meridian + self.height_m), east

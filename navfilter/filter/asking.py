@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,14 +52,13 @@ def shared(
     last : ndarray of int, shape (PLAN,)
         Its last row.
     """
-    n, m = folds[1], folds[2]
-    own = [channel.bench for channel in channels]
-    begins = np.cumsum([0, *(part.size for part in own)])
-    bench = np.concatenate([*own, np.zeros(m * m + max(m * n, 9 * (n + m + 9)))])
+    n, m = folds[1:3].tolist()
+    *begins, end = accumulate((channel.size for channel in channels), initial=0)
+    bench = np.zeros(end + m * m + max(m * n, 9 * (n + m + 9)))
     last = np.zeros(stretch.PLAN, np.int64)
-    last[: len(folds)], last[stretch.MEM] = folds, begins[-1]
+    last[: len(folds)], last[stretch.MEM] = folds, end
     last[stretch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])
-    rows = [channel.settle(bench, int(begin)) for channel, begin in zip(channels, begins, strict=False)]
+    rows = [channel.settle(bench, begin) for channel, begin in zip(channels, begins, strict=True)]
     if drive.steps in TRACED:
         last[stretch.STEPS] = address(TRACED[drive.steps], addresses.STEPS)
         last[stretch.HOLD] = address(drive.hold, addresses.HOLD)

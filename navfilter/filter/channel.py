@@ -7,27 +7,30 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import aside, scatter
 from navfilter.filter.aside import Aside
-from navfilter.filter.belief import believed
 from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
+from navfilter.filter.described import Described
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import deviations, has_offset, offset_states, proportions
+from navfilter.filter.offsets import offset_states
 from navfilter.filter.reckoned import Reckoned
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.refused_way import RefusedWay
 from navfilter.filter.scatter import Scatter
 from navfilter.filter.sight import Sight
 from navfilter.filter.turns import Turns
-from navfilter.kernels import addresses, kalman, listen, measurement, past, stretch
-from navfilter.kernels.addresses import address
+from navfilter.kernels import kalman, listen, measurement, past, stretch
 from navfilter.sensors import Sensor
 from navfilter.start import Start
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
 
 __all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "RefusedWay", "Scatter", "Turns", "usable"]
 
@@ -193,7 +196,8 @@ class Channel:
         self.held = sensor.held()
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
-        self._described: tuple[Sensor, Array] | None = None
+        self._described: Described | None = None
+        self._foreseen: Described | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -214,45 +218,38 @@ class Channel:
         rate_variance : ndarray, shape (3,)
             White variance of the gyros as rates [rad^2/s^2].
         """
-        a, parameters = sensor.axes, group.size - group.errors
+        a, parameters, variance = sensor.axes, group.size - group.errors, rate_variance / self.samples
         n, m, b = layout.size, layout.head, group.ticking
-        variance, before = rate_variance / self.samples, self._described
-        self.sensor, self.group, self.axes = sensor, group, a
+        self.sensor, self.group, self.axes, self._turned = sensor, group, a, variance
         # of the very same sensor and states only the place is another
-        if not (before and before[0] is sensor and before[1] is group.Phi and np.array_equal(variance, self._turned)):
-            self._describe(sensor, group, b, variance)
+        known = (one for one in (self._described, self._foreseen) if one and one.is_of(sensor, group, variance))
+        self._described = own = next(known, None) or self._describe(sensor, group, variance)
+        self.offset, self.limits, self.slow = own.offset, own.limits, own.slow
+        self._proportions, self.deviations = own.proportions, own.deviations
         turned = -layout.current_of(self.name)
         if sensor.deviation is not None:
             turned = group.start + group.errors + sensor.deviation
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, turned])
         at = kalman.places(self.dims)
-        self.places, self.record_size = np.array(at), at[5]
-        self._ends = at[-1] + np.cumsum([0, *self._sizes])
-        self.bench = np.concatenate([np.zeros(at[-1]), *self._parts])
+        self.places, self.record_size, self.size = np.array(at), at[5], at[-1] + own.content.size
 
-    def _describe(self, sensor: Sensor, group: Group, b: int, variance: Array) -> None:
-        """What its error model makes of it, wherever its states stand; b: how many of them tick."""
-        self._described, self._turned = (sensor, group.Phi), variance
-        self.offset = has_offset(sensor.models)
-        self._kernels = self._addresses()
-        self._proportions = proportions(sensor.models, self.period_s)
-        self.deviations = deviations(sensor.models, self.period_s)
-        self.limits = np.concatenate([self._gates, believed(sensor, group)])
-        slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
-        self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
-        lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
-        model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
-        constants = self.constants if self.known else np.zeros(0)
-        facts = np.zeros(0) if self.sight is None else self.sight.facts
-        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits, facts
-        self._parts, self._sizes = [part.ravel() for part in parts], [part.size for part in parts]
+    def foresee(self, vehicle: Vehicle, layout: Layout) -> None:
+        """It may have to `arrange` itself for these next: what it takes is worked out beforehand."""
+        drive, g = vehicle.drive, layout.drive
+        variance = drive.rate_variance(g.Q, g.C, g.r) / self.samples
+        self._foreseen = self._describe(vehicle.sensors[self.name], layout.groups[self.name], variance)
+
+    def _describe(self, sensor: Sensor, group: Group, variance: Array) -> Described:
+        kernel, constants = (self.kernel, self.constants) if self.known else (None, np.zeros(0))
+        return Described.of(sensor, group, variance, (kernel, self.sight), constants, self._gates)
 
     def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
-        """Work from now on in a part of an array that all channels share, where the content of its own stands already.
+        """Work from now on in a part of an array that all channels share.
 
         Parameters
         ----------
         bench : ndarray
+            Zero in its part, `size` numbers.
         begin : int
             Of its part.
 
@@ -261,9 +258,11 @@ class Channel:
         ndarray of int
             Its row of the plan, see `navfilter.kernels.stretch`.
         """
-        a, n, m, b, first, errors, parameters, _ = self.dims.tolist()
-        ends = begin + self._ends
-        self.bench, at = bench[begin : ends[-1]], self.places
+        (a, n, m, b, first, errors, parameters, _), own = self.dims.tolist(), self._described
+        assert own is not None
+        at: list[int] = self.places.tolist()
+        ends = [begin + at[-1] + end for end in own.ends]
+        bench[ends[0] : ends[-1]] = own.content
         self.mem = mem = bench[begin : ends[0]]
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
@@ -289,19 +288,10 @@ class Channel:
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
-        asked = self._kernels if self.known else (0, 0, 0, 0)
         north = -1 if self.sensor.north is None else self.sensor.north
         more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False
-        self.spot = np.array([*self.dims, *asked, *is_so, *starts, *more], dtype=np.int64)
+        self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
-
-    def _addresses(self) -> tuple[int, int, int, int]:
-        """Of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked."""
-        if not self.known or self.offset:
-            return 0, 0, 0, 0
-        sight = 0 if self.sight is None else address(past.sight, addresses.SIGHT)
-        bent = 0 if self.sensor.bend is None else address(self.sensor.bend, addresses.BEND)
-        return address(self.kernel, addresses.EQUATION), sight, 0, bent
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""

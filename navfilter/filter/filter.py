@@ -93,7 +93,7 @@ class Filter(Estimate):
         self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
         self.jumped: list[Change] = []
         self.accused: float | None = None
-        self.tilted, self.gyros = False, shifts.gyros(None)
+        self.tilted, self.gyros = False, np.zeros((3, 0))
         self._like: tuple[Vehicle, Layout] | None = None
         self.foreseen: list[Adoption] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
@@ -153,18 +153,16 @@ class Filter(Estimate):
         """Lay out the states with these models in force, and the working memory that depends on it."""
         in_force = found.after if found else self.vehicle.with_error(**dict(models))
         self.layout = layout = found.layout if found else Layout.of(in_force, self._like)
-        self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
+        if self.inertial and (self._like is None or self._like[1].drive is not g):
+            self.gyros = shifts.gyros(g, self.period_s)
+        self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, np.sqrt(g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0, 0])
         variance = self.vehicle.drive.rate_variance(g.Q, g.C, g.r)
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
-        self._share()
-
-    def _share(self) -> None:
-        """Let all channels work in one array, see `navfilter.kernels.stretch`."""
         self.bench, self.plan, self.drive_spot = shared(list(self.channels.values()), self.vehicle.drive, self._dims)
 
     def weigh(self) -> None:
@@ -172,8 +170,9 @@ class Filter(Estimate):
         g, w = self.layout.drive, self.memory.watch
         self.watch.weigh(w, g.C, g.r, self.drive_output)
         if self.inertial:
+            variance = self.watch.rate_variance(w, g.r)
             for channel in self.channels.values():
-                channel.turns_by(self.watch.rate_variance(w, g.r))
+                channel.turns_by(variance)
 
     def _identity(self) -> Array:
         return np.eye(4 * self.layout.head, self.layout.head)

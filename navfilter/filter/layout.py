@@ -147,6 +147,8 @@ class Group:
         Of each state.
     x0 : ndarray, shape (size,)
         Means at the start: zero, but for parameters that a calibration has found.
+    ticking : int
+        How many of its states change by themselves, the first of all; those behind them are constants.
     """
 
     start: int
@@ -160,6 +162,7 @@ class Group:
     names: tuple[str, ...]
     units: tuple[str, ...]
     x0: Array
+    ticking: int
 
     @property
     def slice(self) -> slice:
@@ -181,12 +184,6 @@ class Group:
             return np.zeros((3, 0))
         own = np.array([each[0] for each in self.biases[:3]])
         return np.array([self.start + own, self.Q[own, own], self.P0[own, own]])
-
-    @cached_property
-    def ticking(self) -> int:
-        """How many of its states change by themselves, the first of all; those behind them are constants."""
-        changes = self.Q.any(axis=1) | (self.Phi != np.eye(self.size)).any(axis=1)
-        return int(np.flatnonzero(changes)[-1]) + 1 if changes.any() else 0
 
     @classmethod
     def build(
@@ -229,19 +226,12 @@ class Group:
         for name, block in wandering.items():
             rows = np.ix_(*2 * ([place[name], *(place[f"{name}[{j}]"] for j in range(1, block.size))],))
             keep[rows], noise[rows], variances[rows] = output_first(block)
-        r = np.array([b.r for b in blocks])
+        r, Phi, Q = np.array([b.r for b in blocks]), stack("Phi", keep), stack("Q", noise)
+        changes = Q.any(axis=1) | (Phi != np.eye(errors + k)).any(axis=1)
         return cls(
-            start,
-            errors + k,
-            errors,
-            stack("Phi", keep),
-            stack("Q", noise),
-            stack("P0", variances),
-            C,
-            r,
-            tuple(names),
-            tuple(units),
-            np.concatenate([np.zeros(errors), [p.mean for p in parameters]]),
+            *(start, errors + k, errors, Phi, Q, stack("P0", variances), C, r, tuple(names), tuple(units)),
+            x0=np.concatenate([np.zeros(errors), [p.mean for p in parameters]]),
+            ticking=int(np.flatnonzero(changes)[-1]) + 1 if changes.any() else 0,
         )
 
 
@@ -261,10 +251,13 @@ class Layout:
         Number of error states.
     head : int
         Navigation states and the drive's: those that move with every sample of the drive.
+    constants : (ndarray, ndarray, ndarray)
+        Places of all constant states that are not known for certain, their means and variances at the start.
     """
 
     drive: Group
     groups: dict[str, Group]
+    constants: tuple[NDArray[np.intp], Array, Array]
 
     @property
     def size(self) -> int:
@@ -293,14 +286,6 @@ class Layout:
                 return self.groups[key].start + self.groups[key].names.index(f"{key}.current_north")
         return 0
 
-    @cached_property
-    def constants(self) -> tuple[NDArray[np.intp], Array, Array]:
-        """Places of all constant states that are not known for certain, their means and variances at the start."""
-        groups = (self.drive, *self.groups.values())
-        own = [(g, i) for g in groups for i in range(g.errors, g.size) if not g.Q[i].any() and g.P0[i, i] > 0.0]
-        places = np.array([g.start + i for g, i in own], np.intp)
-        return places, np.array([g.x0[i] for g, i in own]), np.array([g.P0[i, i] for g, i in own])
-
     @classmethod
     def of(cls, vehicle: Any, like: tuple[Any, Layout] | None = None) -> Layout:
         """Lay out a vehicle's states.
@@ -325,7 +310,14 @@ class Layout:
                 blocks = [m.in_force(period_s) for m in sensor.models]
                 groups[name] = _group(start, sensor, blocks, period_s, name)
             start += groups[name].size
-        return cls(group, groups)
+        own = [
+            (g.start + i, g.x0[i], g.P0[i, i])
+            for g in (group, *groups.values())
+            for i in range(g.errors, g.size)
+            if not g.Q[i].any() and g.P0[i, i] > 0.0
+        ]
+        places, means, variances = np.ascontiguousarray(np.array(own, dtype=np.float64).reshape(-1, 3).T)
+        return cls(group, groups, (places.astype(np.intp), means, variances))
 
     def start_states(self) -> Array:
         """Means at the start of all states behind the nine of navigation."""

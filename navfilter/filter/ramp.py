@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from navfilter.filter import over_ground
 from navfilter.filter.refused_way import believable, most_speed
 from navfilter.kernels import drive_watch as kernel
-from navfilter.state import NavState
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
@@ -65,7 +64,7 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
     residual = over_ground.residual(channel, nav, channel.note[3 : 3 + channel.axes]) if channel.sensor.ground else None
     if filter.inertial and filter.jumps.fails_again(channel, filter.memory):
         return 0.0
-    if residual is None or not _was_right(filter, channel, time_s):
+    if residual is None or not _was_right(filter, channel):
         slope = None
     elif time_s == since_s or float(np.linalg.norm(filter.memory.watch[:3, kernel.MEAN])) > TURNING:
         kept.ramp, slope = (), None
@@ -87,22 +86,21 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
 
 def may_accuse(filter: Filter, channel: Channel, time_s: float) -> bool:
     """Whether a sensor that is refused has confirmed the state well enough before to speak against the drive."""
-    return _was_right(filter, channel, time_s) and channel.memory.undisputed
+    return _was_right(filter, channel) and channel.memory.undisputed
 
 
-def _was_right(filter: Filter, channel: Channel, time_s: float) -> bool:
+def _was_right(filter: Filter, channel: Channel) -> bool:
     """Whether a velocity that is refused was used for long before, on a way."""
     if not filter.inertial or not channel.sensor.ground:
         return False
-    kept, nav = channel.memory, NavState.unpack(time_s, filter.memory.nav)
-    way_m = math.hypot(*nav.minus(filter.start.state)[:2].tolist())
-    return kept.used_s - kept.agreed_s >= USED_S and way_m >= WAY_M
+    kept, way = channel.memory, filter.start.way_to(*filter.memory.nav[:2].tolist())
+    return kept.used_s - kept.agreed_s >= USED_S and math.hypot(*way) >= WAY_M
 
 
 def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
     """Whether the state has become faster than the vehicle can be, while a velocity that was right is refused."""
     kept, stated = channel.memory, filter.vehicle.drive.max_speed_m_s
-    if not time_s - kept.rejected_since_s >= RUNAWAY_S or not _was_right(filter, channel, time_s):
+    if not time_s - kept.rejected_since_s >= RUNAWAY_S or not _was_right(filter, channel):
         return False
     fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.corrects == "position")
     if max(fixes, default=-math.inf) > kept.rejected_since_s:

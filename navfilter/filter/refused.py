@@ -35,7 +35,6 @@ from navfilter.filter.integrity import FOLLOWED_S, IN_LINE
 from navfilter.filter.offsets import with_offsets
 from navfilter.filter.refusals import LEAST, Refusals
 from navfilter.kernels import listen
-from navfilter.state import NavState
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -158,7 +157,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         return False
     if wrong != "state" or channel.offset:
         return False
-    moved_m = float(np.linalg.norm(NavState.unpack(time_s, memory.nav).minus(filter.start.state)[:2]))
+    moved_m = float(np.linalg.norm(filter.start.way_to(*memory.nav[:2].tolist())))
     for other in filter.channels.values():
         if agreement.alike(other, channel):
             other.memory.agreed_s = math.nan

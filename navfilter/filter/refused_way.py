@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from navfilter.filter import over_ground
 from navfilter.kernels import listen
-from navfilter.state import NavState
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
@@ -89,9 +88,10 @@ def out_of_reach(filter: Filter, channel: Channel, time_s: float) -> bool:
     fixes = channel.sensor.open_loop == listen.POSITION and channel.axes == over_ground.AXES
     if not fixes or channel.memory.used_s == -math.inf:
         return False
-    off = NavState.unpack(time_s, filter.memory.nav).minus(filter.start.state)[:2] + np.nan_to_num(channel.res[:2])
+    north, east = filter.start.way_to(*filter.memory.nav[:2].tolist())
+    off = [0.0 if math.isnan(residual) else residual for residual in channel.res[:2].tolist()]
     most = float(most_speed(channel.memory.refused_speed, filter.vehicle.drive.max_speed_m_s))
-    return math.hypot(*off.tolist()) > REACH_M + most * (time_s - filter.start.time_s)
+    return math.hypot(north + off[0], east + off[1]) > REACH_M + most * (time_s - filter.start.time_s)
 
 
 def believable(residual: Array, speed: Array | float, stated: float | None) -> NDArray[np.bool_]:

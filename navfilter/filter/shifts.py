@@ -46,7 +46,7 @@ from navfilter.kernels.shifts import (
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.layout import Layout
+    from navfilter.filter.layout import Group
 
 __all__ = ["due_s", "fresh", "gyros", "look", "looking", "shifted"]
 
@@ -88,19 +88,15 @@ def looking(filter: Filter) -> tuple[Array, Array, Array]:
     """The looks so far, what is known of the gyros, and the next look, see `navfilter.kernels.shifts`."""
     memory, now = filter.memory, np.zeros(COLUMNS)
     now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    if filter.gyros[0] is not filter.layout:
-        filter.gyros = gyros(filter)
-    return memory.shifts, filter.gyros[1], now
+    return memory.shifts, filter.gyros, now
 
 
-def gyros(filter: Filter | None) -> tuple[Layout | None, Array]:
-    """What is known of the gyros of a filter, see `navfilter.kernels.shifts`, and the layout that it goes with."""
-    if filter is None or not filter.inertial:
-        return None if filter is None else filter.layout, np.zeros((3, 0))
-    known = filter.layout.drive.gyro_biases.copy()
-    known[kernel.WALK] /= filter.period_s
+def gyros(drive: Group, period_s: float) -> Array:
+    """What is known of the gyros of an inertial unit, see `navfilter.kernels.shifts`."""
+    known = drive.gyro_biases.copy()
+    known[kernel.WALK] /= period_s
     known[kernel.LEAST] *= FLOOR**2
-    return filter.layout, known
+    return known
 
 
 def look(filter: Filter) -> None:

@@ -5,7 +5,6 @@ A kernel that is called by its name is compiled into its caller again. By its ad
 """
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 from numba import config, types
@@ -35,6 +34,7 @@ __all__ = [
 _settings: Any = config
 #: What has an address, in the order in which it was asked for.
 _KNOWN: dict[int, Callable[..., None]] = {}
+_AT: dict[Callable[..., None], int] = {}
 _ROW, _TABLE = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
 _PLACES = types.Array(types.int64, 1, "C")
 #: z, nav, rate, par, cfg, H, res, see `navfilter.kernels.measurement`.
@@ -93,15 +93,16 @@ SMOOTH_RUN = (
 )
 
 
-@cache
 def address(kernel: Callable[..., None], signature: tuple[Any, ...]) -> int:
     """Where a kernel stands, compiled for these arguments; without the JIT a number that `named` knows."""
-    if _settings.DISABLE_JIT:
-        at = len(_KNOWN) + 1
-    else:
-        compiled = kernel.get_compile_result(types.void(*signature))  # type: ignore[attr-defined]
-        at = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-    _KNOWN[at] = kernel
+    at = _AT.get(kernel)  # each is for one kind of arguments, and their types take long to look up
+    if at is None:
+        if _settings.DISABLE_JIT:
+            at = len(_KNOWN) + 1
+        else:
+            compiled = kernel.get_compile_result(types.void(*signature))  # type: ignore[attr-defined]
+            at = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+        _AT[kernel], _KNOWN[at] = at, kernel
     return at
 
 

@@ -70,7 +70,7 @@ def stretched(filter: Filter, before: Stretches, time_s: float) -> Stretches:
     """
     at = filter.layout.constants[0]
     if before.time_s == math.inf or before.estimate.size != at.size:
-        return Stretches(time_s, filter.x[at - 9], filter.P[np.ix_(at, at)])
+        return Stretches(time_s, filter.x[at - 9], filter.P[at[:, np.newaxis], at])
     if before.time_s >= time_s or not at.size:
         return before
     now, lost = np.empty((2, at.size + 1, at.size))

@@ -76,12 +76,11 @@ class Rows:
             self.pieces[i:] = [self.pieces[i].copy()]
             self.count = count
 
-    def shared(self) -> Rows:
-        """The same, from now on by itself."""
+    def so_far(self) -> Rows:
+        """The same to be read only, whatever comes. Nothing is copied: what they hold is not written over."""
         pieces = list(self.pieces)
         if pieces:
-            taken, pieces[-1] = self.count - PIECE * (len(pieces) - 1), np.empty((PIECE, self.width))
-            pieces[-1][:taken] = self.pieces[-1][:taken]
+            pieces[-1] = pieces[-1][: self.count - PIECE * (len(pieces) - 1)]
         return Rows(self.width, self.count, pieces)
 
     def whole(self, count: int) -> Array:
@@ -179,9 +178,9 @@ class Kept:
                 del self.sds[number]
         self.samples.cut(samples)
 
-    def shared(self) -> Kept:
-        """The same, from now on by itself."""
-        return Kept(self.names, self.samples.shared(), self.readings.shared(), self.values.shared(), dict(self.sds))
+    def so_far(self) -> Kept:
+        """The same to be read only, whatever comes."""
+        return Kept(self.names, self.samples.so_far(), self.readings.so_far(), self.values.so_far(), dict(self.sds))
 
     def first(self, samples: int, readings: int) -> Kept:
         """The first of them, as they are stored: each kind in one piece."""

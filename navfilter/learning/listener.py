@@ -92,6 +92,7 @@ class Listener:
         self._found: tuple[tuple[ErrorModel, ...], tuple[float, ...]] = (), ()  # models, and their S(0)
         # the hop that was begun last, what the learners knew then, and the work on it
         self._begun: tuple[Hop, tuple[LearnerMemory | None, ...], Task] | None = None
+        self._before: object = None  # the same of the one before: the thread frees it, as it takes long
         models = sensor.models
         learned = [learning_part(model) for model in models]
         window = max((part.window for part in learned if part is not None), default=0)
@@ -318,7 +319,12 @@ class Listener:
         after = math.ceil(TAKEN_AFTER_S / self.period_s)
         noted = self._noted(min(self.window + newest, written - memory.since), newest)
         memory.hop = Hop(*noted, fresh, written + after if taken is None else taken)
-        self._task(memory.hop)
+        self.worker.later(self._tell)
+
+    def _tell(self) -> None:
+        """Tell the thread of the hop, in a turn of its own."""
+        if self._memory.hop is not None:
+            self._task(self._memory.hop)
 
     def take_early(self) -> None:
         """Nothing is done at early ages any more: the answer of their hop is taken by the number of ticks."""
@@ -339,11 +345,8 @@ class Listener:
             (self._begun[0] is hop or self._begun[0].is_same(hop))
             and all(one is two for one, two in zip(self._begun[1], knew, strict=True))
         ):
-            self._begun = (
-                hop,
-                knew,
-                Task(self.worker, partial(self._answered, knew, hop, self._memory.models), later=True),
-            )
+            self._before, work = self._begun, partial(self._answered, knew, hop, self._memory.models)
+            self._begun = hop, knew, Task(self.worker, work)
         return self._begun[2]
 
     def learnt(self) -> tuple[ErrorModel, ...] | None:
@@ -377,7 +380,7 @@ class Listener:
         what the learners know then; they themselves do not change. What is not of the hop may be another one meanwhile:
         this is worked on beside the run.
         """
-        own = [copy(learner) for learner in self.learners]
+        self._before, own = None, [copy(learner) for learner in self.learners]
         recall(own, memories(own), knew)
         series, found = [], []
         for axis, learner in enumerate(own):

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
-from navfilter.filter import shifts
 from navfilter.filter.adoption import Change, adoption
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
@@ -93,7 +92,6 @@ class LearningSchedule:
         self.fixes = conflict.told_by(filter) - set(self.listeners) if self.listeners else set()
         if self.listeners:
             self.worker.start()
-            self.worker.later(self._ask_for)
         self._levels = self._present_levels()
 
     # ---------------------------------------------------------------- what changes
@@ -272,11 +270,6 @@ class LearningSchedule:
 
     def _relaid(self, M: Array) -> None:
         self._fed_back = relaid(self._fed_back, M, self.filter.layout.head)
-        self.worker.later(self._ask_for)
-
-    def _ask_for(self) -> None:
-        """What a new layout is asked for by later readings, once: it would come with a look, or a question."""
-        _ = self.filter.layout.constants, shifts.looking(self.filter)
 
     # ---------------------------------------------------------------- at rest
     def _passed(self, samples: Array) -> Sequence[Change]:
@@ -360,7 +353,9 @@ class LearningSchedule:
         if not (known and known[0].before is filter.in_force):
             known = []
         at = (known[-1].after, known[-1].layout) if known else (filter.in_force, filter.layout)
-        filter.foreseen = [*known, adoption(*at, name, models)]
+        found = adoption(*at, name, models)
+        filter.channels[name].foresee(found.after, found.layout)
+        filter.foreseen = [*known, found]
 
     def _ask(self) -> None:
         """Where the constants speak against the models that were learnt, have the beginning done again as described."""

@@ -58,23 +58,12 @@ class Task:
     ----------
     worker : Worker
     work : callable
-    later : bool
-        The thread is told at the next reading, as others have things to do now.
     """
 
-    def __init__(self, worker: Worker, work: Callable[[], Any], later: bool = False) -> None:
+    def __init__(self, worker: Worker, work: Callable[[], Any]) -> None:
         self._worker, self._work = worker, work
         self._answer: list[Any] = []
-        self._future: Future[Any] | None = None
-        self._process = 0
-        if later:
-            worker.later(self._begin)
-        else:
-            self._begin()
-
-    def _begin(self) -> None:
-        if not self._answer:
-            self._future, self._process = self._worker.begin(self._done), os.getpid()
+        self._future, self._process = worker.begin(self._done), os.getpid()
 
     def _done(self) -> None:
         self._answer.append(self._work())
@@ -101,20 +90,24 @@ class Worker:
 
     Attributes
     ----------
-    health : LearningHealth
-        Answers that had to be waited for: the machine is too slow for what it learns, or is fed faster than real time.
     waiting : list of callable
         What is to be done behind one of the next readings, one behind each: together it would keep one waiting.
     """
 
     def __init__(self, threads: bool) -> None:
-        self.threads = threads
-        self.health = LearningHealth()
-        self.waiting: list[Callable[[], None]] = []
+        self.threads, self._late, self._waited_s = threads, 0, 0.0
+        self.waiting: list[Callable[[], object]] = []
         self._pool: ThreadPoolExecutor | None = None
         self._process = 0
 
-    def later(self, work: Callable[[], None]) -> None:
+    @property
+    def health(self) -> LearningHealth:
+        """Answers that had to be waited for: the machine is too slow for what it learns, or is fed faster than real
+        time.
+        """
+        return LearningHealth(self._late, self._waited_s)
+
+    def later(self, work: Callable[[], object]) -> None:
         """Have it done by `turn`; without threads there is nobody to be told anything."""
         if self.threads:
             self.waiting.append(work)
@@ -143,4 +136,4 @@ class Worker:
 
     def note(self, waited_s: float) -> None:
         """An answer was late."""
-        self.health = LearningHealth(self.health.late + 1, self.health.waited_s + waited_s)
+        self._late, self._waited_s = self._late + 1, self._waited_s + waited_s
