@@ -263,13 +263,14 @@ class Prompt:
         changed by that.
         """
         nav, history, learning = self._nav, self._history, self._nav.learning
+        before_s = learning.early_s
         if learning.is_early(time_s):
             nav.beginning.before(time_s)
             same = nav.filter.memory is self._memory and learning.beginning is self._kept and not learning.is_waiting
             if not (same and learning.learning_s == self._facts[stretch.LEARNT_S]):
                 nav.changes += 1
                 return True
-        elif not busy:  # one after the other
+        elif not busy and learning.early_s == before_s:  # one after the other
             history.ready(self._memory.time_s)
         self._due_s = min(shifts.due_s(self._filter), learning.early_s, history.due_s)
         return False
