@@ -106,7 +106,7 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     """
     memory, a = channel.memory, channel.axes
     residual = np.array(channel.res[:a])
-    white = np.maximum(np.diag(channel.R), 1e-300)
+    white = np.array([max(variance, 1e-300) for variance in channel.R.diagonal().tolist()])
     seen = np.einsum("ij,jk,ik->i", channel.near[:, :9], P[:9, :9], channel.near[:, :9])
     before = memory.refused
     if before is None:

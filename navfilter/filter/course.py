@@ -89,13 +89,14 @@ class Course:
         """With one more fix: its time, nominal state (17,), residual in n [m]."""
         north = (nav[0] - self.latitude) * nav[15]
         east = (nav[1] - self.longitude) * nav[16] * math.cos(self.latitude)
-        return self.plus(time_s, np.array([north, east]), residual)
+        return self.plus(time_s, (north, east), residual)
 
-    def plus(self, time_s: float, place: Array, residual: Array) -> Course:
+    def plus(self, time_s: float, place: Array | tuple[float, float], residual: Array) -> Course:
         """With one more fix: its time, the place reckoned, north and east of the first [m], residual in n [m]."""
-        row = np.array([*place, residual[0], residual[1], time_s - self.began_s])
-        new = np.array(self.sums) + np.concatenate([row, np.outer(row, row).ravel()])
-        return Course(self.latitude, self.longitude, self.began_s, self.count + 1, tuple(new.tolist()))
+        row = [*map(float, (*place, *residual[:2], time_s - self.began_s))]
+        new = zip(self.sums, (*row, *(one * other for one in row for other in row)), strict=True)
+        sums = tuple(before + added for before, added in new)
+        return Course(self.latitude, self.longitude, self.began_s, self.count + 1, sums)
 
     def drawn_m_s(self) -> float:
         """Speed at which the fixes go away from the way reckoned, by the straight line through that [m/s]."""

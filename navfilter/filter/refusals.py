@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,6 +82,6 @@ class Refusals:
         return self.jumped and bool(np.nanmax(np.abs(off), initial=0.0) <= 0.5 * np.nanmax(size, initial=0.0))
 
 
-@cache
+@lru_cache(maxsize=64)  # of a sensor that is refused for good it grows with each reading
 def _limit(dof: int) -> float:
     return float(chi_square_limit(1.0 - TURNED_DOWN, dof))

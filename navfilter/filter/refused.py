@@ -136,7 +136,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     has jumped gets constants by its next reading (`Filter.jumped`).
     """
     memory, kept = filter.memory, channel.memory
-    speed = math.sqrt(float(memory.nav[3:6] @ memory.nav[3:6]))
+    speed = math.sqrt(float(memory.nav[3:6].dot(memory.nav[3:6])))
     drive = filter.drive_output, filter.vehicle.drive.period_s
     course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
     kept.refused = refused = agreement.heard(channel, memory.P, speed, time_s, *drive)
