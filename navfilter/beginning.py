@@ -117,6 +117,8 @@ def _change_places(nav: Navigator, other: Navigator) -> None:
     nav.learning.memory = other.learning.memory
     other.learning.beginning = before
     nav.changes += 1
+    for name, prompt in nav.prompts.items():
+        prompt.exchange(other.prompts[name])
 
 
 def _let_go(twin: Twin) -> None:
@@ -163,13 +165,18 @@ class Twin:
         if not isinstance(item, Reading) or not (len(self._inputs) >= self.TOGETHER or item.time_s >= self._close_s):
             return
         if self._drained is None or self._drained.done():
-            self._drained = self._worker.begin(self._drain)
+            self._drained = self._worker.begin(self._follow)
+
+    def _follow(self) -> None:
+        """On the thread: work off what there is, and have in hand what the next readings need."""
+        self._drain()
+        for prompt in self.run.prompts.values():
+            prompt.is_ready()
 
     def _drain(self) -> None:
-        twin = self._task.answer()
         while self._inputs:
             for item in joined([self._inputs.popleft() for _ in range(len(self._inputs))]):
-                twin.given(item)
+                self.run.given(item)
 
     def arrived(self) -> Navigator:
         """The run, when it has come as far as the one it is a twin of."""
@@ -181,7 +188,7 @@ class Twin:
 
     @property
     def run(self) -> Navigator:
-        """Itself."""
+        """As far as it has come; waits until it has begun."""
         run: Navigator = self._task.answer()
         return run
 

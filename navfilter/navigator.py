@@ -111,7 +111,7 @@ class Navigator(Running):
         self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
         self.waiting, self._row, self.changes = Waiting(), np.empty((1, 7)), 0  # of anything but by ordinary inputs
         self.behind = {name: names[i + 1 :] for i, name in enumerate(names)}
-        self._prompts, self._sample = prompts(self), prompt_sample(self)
+        self.prompts, self._sample = prompts(self), prompt_sample(self)
 
     # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -189,7 +189,7 @@ class Navigator(Running):
             Never an exception: whatever arrives has a defined outcome.
         """
         known = isinstance(name, str)
-        if known and sd is None and (prompt := self._prompts.get(name)) and (outcome := prompt.take(time_s, value)):
+        if known and sd is None and (prompt := self.prompts.get(name)) and (outcome := prompt.take(time_s, value)):
             return outcome
         if not (known and name in self.watches):
             return Outcome("unknown-sensor")

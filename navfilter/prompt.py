@@ -177,7 +177,7 @@ class Prompt:
             return None
         nav = self._nav
         if nav.changes != self._as_of:
-            if not self._is_ready():
+            if not self.is_ready():
                 return None
             busy = True
         memory, watch, kept, size, raw = self._memory, self._watch, self._kept, len(z), z.tobytes()
@@ -275,7 +275,11 @@ class Prompt:
         self._due_s = min(shifts.due_s(self._filter), learning.early_s, history.due_s)
         return False
 
-    def _is_ready(self) -> bool:
+    def exchange(self, other: Prompt) -> None:
+        """Have in hand what that of another run has, and that this one's."""
+        self._hand, other._hand = other._hand, self._hand
+
+    def is_ready(self) -> bool:
         """Take in hand what a kernel needs, where its next reading may be an ordinary one."""
         nav = self._nav
         filter, learning = nav.filter, nav.learning
