@@ -10,7 +10,7 @@ import pytest
 from feeding import once_a_second
 
 import navfilter as nf
-from navfilter.filter import agreement, refused
+from navfilter.filter import agreement, refusals, refused
 from navfilter.filter.channel import Refusals
 from navfilter.filter.memory import differences
 from navfilter.filter.offsets import (
@@ -256,6 +256,13 @@ def refusals_of(residual, jumped=False):
         arguments = channel, P, 1.5, 100.0 + k, filter.drive_output, 0.01
         channel.memory.refused = agreement.heard(*arguments)
     return channel
+
+
+def test_what_is_remembered_of_limits_does_not_grow_with_refusals():
+    """A compass that is refused for good has one more of them with each reading, all day."""
+    run = Refusals(True, True, (0.0,), (0.0,), (1.0,), (1.0,), 0.0, 0.0, misfit=1.0)
+    asked = [dataclasses.replace(run, dof=dof).scatters for dof in range(1, 1000)]
+    assert not any(asked) and refusals._limit.cache_info().currsize < 100
 
 
 def test_agreement_is_a_constant_within_the_noise():

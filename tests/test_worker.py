@@ -179,6 +179,21 @@ def test_what_is_left_of_a_run_is_freed_without_a_collector(mission, monkeypatch
         gc.enable()
 
 
+def test_what_a_run_has_left_is_freed_though_sensors_have_not_spoken_since(mission):
+    """What their prompts had in hand would else be freed in the middle of a reading."""
+    vehicle, recorded, events = mission
+    nav = nf.Navigator(vehicle, recorded.start)
+    number = next(i for i, event in enumerate(events) if event.time_s > AGAIN_S)
+    fed(nav, events[:number])
+    assert nav.learning.again is not None
+    left = [weakref.ref(array) for array in (nav.filter.bench, nav.filter.memory.P, nav.filter.memory.nav)]
+    nav.history.begin()  # checkpoints hold copies
+    fed(nav, [event for event in events[number : number + 40] if event.sensor in (DRIVE, "compass")])
+    assert nav.learning.again is None and len(nav.vehicle.sensors) > 1
+    nav.learning.worker.begin(lambda: None).result()
+    assert [array() for array in left if array() is not None] == []
+
+
 def test_a_task_that_fails_says_so_when_it_is_asked():
     for threads in (True, False):
         task = Task(Worker(threads), lambda: 1 // 0)
