@@ -288,9 +288,10 @@ class Channel:
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
+        asked = own.kernels if self.known else (0, 0, 0, 0)
         north = -1 if self.sensor.north is None else self.sensor.north
         more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False
-        self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
+        self.spot = np.array([*self.dims.tolist(), *asked, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 
     def turns_by(self, rate_variance: Array) -> None:
