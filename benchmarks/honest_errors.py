@@ -148,10 +148,13 @@ def honest_errors(options: Options) -> dict[str, Any]:
     table = Table("case<7 " + " ".join(f"{h}>{len(h) + 2}.2f" for h in heads) + " errors<100")
     sensor, found = options.sensor, []
     for number in range(options.first, options.first + (3 if options.quick else options.cases)):
-        case = Case.drawn(number, sensor)
-        learns = rivals(("arma",), case.vehicle, case.mission, sensors=[sensor])["arma"]
-        what = SENSORS[sensor][1]
-        own, file = score(learns, case.mission, what), score(case.vehicle, case.mission, what)
+        case, what = Case.drawn(number, sensor), SENSORS[sensor][1]
+        vehicle = case.vehicle
+        if options.bias:
+            compass = replace(vehicle.sensors["compass"], bias_sd_rad=math.radians(options.bias))
+            vehicle = nf.Vehicle(vehicle.drive, {**vehicle.sensors, "compass": compass})
+        learns = rivals(("arma",), vehicle, case.mission, sensors=[sensor])["arma"]
+        own, file = score(learns, case.mission, what), score(vehicle, case.mission, what)
         row = [own[0], file[0], own[1] / file[1], own[2], file[2], own[3] / file[3]]
         found.append(row)
         odd = own[0] > ODD or own[2] > ODD or row[2] > FARTHER or row[5] > FARTHER
@@ -168,6 +171,7 @@ if __name__ == "__main__":
         flag("--cases", type=int, default=60, help="how many"),
         flag("--first", type=int, default=170_000, help="number of the first"),
         flag("--sensor", choices=list(SENSORS), default="compass", help="which one errs"),
+        flag("--bias", type=float, default=0.0, metavar="DEG", help="have the vehicle file expect one of the compass"),
         flag("--all", action="store_true", help="show all, not only what is odd"),
         quick("three of them"),
     ]

@@ -14,7 +14,7 @@ from navfilter.constants import ROOT_HOUR
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.filter.layout import Layout
 from navfilter.learning.belief import span_s
-from navfilter.learning.learned import LearnedArma
+from navfilter.learning.learned import LearnedArma, learning_part
 from navfilter.learning.slow import slow_prior
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
@@ -102,6 +102,10 @@ def _sensor_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
         channel = _Channel(sensor.unit, sensor.plausible, sensor.axis_names)
         yield from _errors(f"{place}.error", sensor.error, sensor.models, channel, 1.0 / sensor.rate_hz)
     yield from (_warn(f"{place}.{doubt.field}", doubt.text, doubt.cure) for doubt in sensor.doubts())
+    if getattr(sensor, "bias_sd_rad", None) == 0.0 and any(learning_part(model) for model in sensor.models):
+        text = "what it learns holds no constant bias, for readings do not show one, and none is expected."
+        cure = "Say how large one may be, bias_sd_deg = 0.5, or the heading is too sure by it."
+        yield Finding("info", f"{place}.bias_sd_deg", text, cure)
     yield from _lever_findings(place, sensor)
     if sensor.gate_probability < 0.95:
         share = 1.0 - sensor.gate_probability
