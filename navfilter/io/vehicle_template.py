@@ -55,7 +55,8 @@ _HEAD = """\
 #       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 103, default 4000),
 #       readings between two adoptions (default: half the window), and what is in force before the first and believed of slow
 #       errors after it (default: what is usual for the sensor; white noise alone excludes slow errors while the readings are
-#       white), within what factors of sd and time if that is known better than of a data sheet (prior_within = [2, 3]). What has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov",
+#       white), within what factors of sd and time where that is known better than of a data sheet (prior_within = [2, 3]). What
+#       has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov",
 #       ..}}; with frozen = true beside it that model stays in force and nothing is learnt
 """
 _BESIDE = """\

@@ -34,7 +34,7 @@ __all__ = [
 _settings: Any = config
 #: What has an address, in the order in which it was asked for.
 _KNOWN: dict[int, Callable[..., None]] = {}
-_AT: dict[Callable[..., None], int] = {}
+_AT: dict[Callable[..., None], tuple[tuple[Any, ...], int]] = {}
 _ROW, _TABLE = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
 _PLACES = types.Array(types.int64, 1, "C")
 #: z, nav, rate, par, cfg, H, res, see `navfilter.kernels.measurement`.
@@ -95,14 +95,15 @@ SMOOTH_RUN = (
 
 def address(kernel: Callable[..., None], signature: tuple[Any, ...]) -> int:
     """Where a kernel stands, compiled for these arguments; without the JIT a number that `named` knows."""
-    at = _AT.get(kernel)  # each is for one kind of arguments, and their types take long to look up
-    if at is None:
-        if _settings.DISABLE_JIT:
-            at = len(_KNOWN) + 1
-        else:
-            compiled = kernel.get_compile_result(types.void(*signature))  # type: ignore[attr-defined]
-            at = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
-        _AT[kernel], _KNOWN[at] = at, kernel
+    known = _AT.get(kernel)
+    if known is not None and known[0] is signature:  # types take long to look up
+        return known[1]
+    if _settings.DISABLE_JIT:
+        at = len(_KNOWN) + 1
+    else:
+        compiled = kernel.get_compile_result(types.void(*signature))  # type: ignore[attr-defined]
+        at = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+    _AT[kernel], _KNOWN[at] = (signature, at), kernel
     return at
 
 
