@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import shifts
+from navfilter.filter import agreement, scatter, shifts
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
+from navfilter.filter.scatter import Scatter
 from navfilter.filter.tape import Tape
 from navfilter.kernels import listen, strapdown
+from navfilter.kernels import scatter as scatters
 from navfilter.kernels import stretch as kernels
 from navfilter.mapped import give_back
+from navfilter.readings import Readings
 
 if TYPE_CHECKING:
     from navfilter.navigator import Navigator
 
-__all__ = ["Passage", "Readings"]
+__all__ = ["Passage"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -39,54 +41,6 @@ GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN, kernels.LOOK
 ROWS = 4096
 #: Where each sample has a row, so many are taken at a time: what they leave, 4 kB each, is to stay in the second cache.
 TRACED = 16
-
-
-@dataclass(frozen=True)
-class Readings:
-    """All readings of the correcting sensors in the order of the times at which they were taken.
-
-    Attributes
-    ----------
-    time_s, stamp_s : ndarray, shape (n,)
-    sensor, row : ndarray of int, shape (n,)
-        Which of `names`, and which row of its values.
-    names : tuple of str
-        Of all sensors, in their order; those that the drive's own samples make have no readings.
-    values : tuple of ndarray, or of list of ndarray
-        Per sensor.
-    sds : tuple of list or None
-        Per sensor what `Navigator.correct` takes as the standard deviation of each reading; None where none has its
-        own.
-    """
-
-    time_s: Array
-    stamp_s: Array
-    sensor: Ints
-    row: Ints
-    names: tuple[str, ...]
-    values: tuple[Array | list[Array], ...]
-    sds: tuple[Sequence[Array | None] | None, ...]
-
-    def sd(self, index: int) -> Array | None:
-        """Standard deviation of a reading, where it has its own."""
-        sds = self.sds[self.sensor[index]]
-        return None if sds is None else sds[self.row[index]]
-
-    def value(self, index: int) -> Array:
-        """What was read."""
-        return self.values[self.sensor[index]][self.row[index]]
-
-    def rows(self, sensor: int, which: Ints) -> Array | list[Array]:
-        """Values of some readings of one sensor."""
-        values, rows = self.values[sensor], self.row[which]
-        return values[rows] if isinstance(values, np.ndarray) else [values[row] for row in rows.tolist()]
-
-    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> Readings:
-        """Some of them by times that are later by so much; of equal times those first that have waited."""
-        time_s = (self.time_s + by_s)[which]
-        order = np.lexsort((by_s[which] <= 0.0, time_s))
-        kept = {name: getattr(self, name)[which][order] for name in ("stamp_s", "sensor", "row")}
-        return replace(self, time_s=time_s[order], **kept)
 
 
 class Passage:
@@ -329,9 +283,9 @@ class Passage:
         cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
         cursor[kernels.STEPPED] = self._stepped
         heard = np.array(
-            [(*c.times, c.period_s, _doubted(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
+            [(*c.times, c.period_s, _until_s(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
         )
-        watched = np.array([watch.figures for watch in self._watches])
+        watched, scattered = np.array([watch.figures for watch in self._watches]), self._scattered()
         out, hearing, recent = self._output(cursor), self._hearing(), self._recent(memory.recent)
         cursor[kernels.NEWEST] = kernels.MORE_RECENT if len(recent) else 0
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]
@@ -344,6 +298,7 @@ class Passage:
                 filter.plan,
                 heard,
                 watched,
+                scattered,
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
                     *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, recent),
@@ -364,9 +319,24 @@ class Passage:
         if len(recent):
             newest = int(cursor[kernels.NEWEST])
             memory.recent = recent[newest : newest + len(memory.recent)].copy()
+        for channel, row in zip(self._channels, scattered[0], strict=False):
+            if channel.scatters:
+                channel.memory.scatter = Scatter.of(row[: scatters.size(channel.axes)].copy())
         self._written(now, cursor, heard, watched, first, why, out)
         self._overheard(hearing[1], int(first[0]))
         return why
+
+    def _scattered(self) -> tuple[Array, Array]:
+        """What is remembered and known of those that scatter by more than they should; no rows where none does."""
+        if not any(channel.scatters for channel in self._channels):
+            return np.zeros((0, 1)), np.zeros((0, 1))
+        most = max(channel.axes for channel in self._channels)
+        kept, facts = np.zeros((2, len(self._channels), max(scatters.size(most), scatters.facts_size(most))))
+        for i, channel in enumerate(self._channels):
+            if channel.scatters:
+                own, known = scatter.noted(channel), scatter.facts(self.nav.filter, channel)
+                kept[i, : own.size], facts[i, : known.size] = own, known
+        return kept, facts
 
     @staticmethod
     def _recent(recent: Array) -> Array:
@@ -440,9 +410,9 @@ class Passage:
                 listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
 
 
-def _doubted(channel: Channel) -> bool:
-    """Whether its next reading is for Python: those before have been refused, or its errors are of another kind now."""
-    return channel.doubted or not channel.spot[kernels.EQUATION]
+def _until_s(channel: Channel) -> float:
+    """Until when its readings are the kernel's [s]: none is where its errors are of another kind now."""
+    return agreement.as_usual_until_s(channel) if channel.spot[kernels.EQUATION] else -math.inf
 
 
 def _last(tape: Tape | None) -> float:

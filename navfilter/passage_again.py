@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.learning.kept import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, Kept
-from navfilter.passage import Passage, Readings
+from navfilter.passage import Passage
+from navfilter.readings import Readings
 
 if TYPE_CHECKING:
     from navfilter.navigator import Navigator

@@ -22,7 +22,8 @@ from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
-from navfilter.passage import Passage, Readings
+from navfilter.passage import Passage
+from navfilter.readings import Readings
 from navfilter.recorded import drive_samples, readings_of
 from navfilter.start import Start
 from navfilter.track import Track

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.mission import Mission, Stream
-from navfilter.passage import Readings
+from navfilter.readings import Readings
 from navfilter.vehicle import Vehicle
 
 __all__ = ["drive_samples", "readings_of"]

@@ -141,12 +141,13 @@ def _compile_prompt() -> None:
     """What takes a single reading or sample live, and what is asked now and then."""
     from numba import config
 
-    from navfilter.kernels import addresses, kalman, listen, stretch
+    from navfilter.kernels import addresses, kalman, listen, scatter, stretch
 
     settings: Any = config
     if not settings.DISABLE_JIT:
         stretch.prompt.compile(addresses.PROMPT)
         stretch.sample.compile(addresses.SAMPLE)
+        scatter.heard.compile(addresses.SCATTERED)
         listen.is_within.compile(addresses.WITHIN)
         listen.told_since.compile(addresses.TOLD_SINCE)
         kalman.turns_along.compile(addresses.ALONG)

@@ -29,6 +29,7 @@ from navfilter.kernels import listen
 
 __all__ = [
     "alike",
+    "as_usual_until_s",
     "decided",
     "disproved",
     "heard",
@@ -46,6 +47,8 @@ Array = NDArray[np.float64]
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
 #: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
+#: Times that differ by less are the same [s].
+SAME_S = 1e-6
 #: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
 BEFORE_S = 2.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
@@ -178,6 +181,21 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
     if worthless or channel.stale or (kept is not None and not aside.unchanged(kept, z)):
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
     return closer
+
+
+def as_usual_until_s(channel: Channel) -> float:
+    """Until when a reading that its gate lets in is as any other, although some may have been refused before it [s]."""
+    memory, refused = channel.memory, channel.memory.refused
+    if channel.contested:
+        return -math.inf
+    if refused is None:
+        return math.inf
+    fixes = channel.sensor.open_loop == listen.POSITION and channel.axes == 3
+    left = refused.jumped or not memory.undisputed
+    if refused.jumped and not fixes:
+        return -math.inf
+    since_s = memory.rejected_since_s + SPAN_S if left and channel.sensor.north is not None else math.inf
+    return min(since_s, memory.used_s + channel.dive_s) - SAME_S
 
 
 def disproved(channel: Channel, time_s: float) -> bool:

@@ -182,8 +182,7 @@ class Channel:
         self.name, self._start = name, start
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        fixes = sensor.open_loop == listen.POSITION and sensor.axes == 3
-        #: Without a fix for longer than this the vehicle has dived [s].
+        fixes = sensor.open_loop == listen.POSITION and sensor.axes == 3  # none for longer than this: it has dived [s]
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
@@ -196,6 +195,7 @@ class Channel:
         self.held = sensor.held()
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
+        self.facts: Array | None = None  # see `scatter.facts`
         self._described: Described | None = None
         self._foreseen: Described | None = None
         self.forget()
@@ -224,7 +224,7 @@ class Channel:
         # of the very same sensor and states only the place is another
         known = (one for one in (self._described, self._foreseen) if one and one.is_of(sensor, group, variance))
         self._described = own = next(known, None) or self._describe(sensor, group, variance)
-        self.offset, self.limits, self.slow = own.offset, own.limits, own.slow
+        self.offset, self.limits, self.slow, self.facts = own.offset, own.limits, own.slow, None
         self._proportions, self.deviations = own.proportions, own.deviations
         turned = -layout.current_of(self.name)
         if sensor.deviation is not None:
@@ -340,11 +340,20 @@ class Channel:
 
     @property
     def doubted(self) -> bool:
-        """Whether its next reading is Python's to judge."""
-        memory = self._memory
-        if memory.refused is not None or memory.alone or memory.partly_since_s > -math.inf or memory.astray:
-            return True
-        return self.offset or (memory.scatter is not None and memory.scatter.watched)
+        """Whether its next reading is Python's to judge, live."""
+        return self.contested or self.scatters or self._memory.refused is not None
+
+    @property
+    def contested(self) -> bool:
+        """Whether more is doubted of it than its last readings, and by how much it scatters."""
+        memory, kept = self._memory, self._memory.scatter
+        since = bool(memory.alone) or memory.partly_since_s > -math.inf or memory.astray
+        return since or self.offset or (kept is not None and kept.worthless)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether it seems to scatter by more than its error model says: each of its readings is heard."""
+        return self._memory.scatter is not None and self._memory.scatter.watched
 
     def has_dived(self, time_s: float) -> bool:
         """Whether no fix has been used for so long that the vehicle has dived."""

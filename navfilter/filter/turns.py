@@ -102,12 +102,13 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
     now = _stepped(before, time_s, _heading(memory.nav) + residual, w, noise)
     kept.turns = now
     axis = int(np.argmax(np.abs(memory.nav[12:15] * w[:3, kernel.MEAN])))
-    since_s = contradicted(now.steps)
     turned = float(np.sum(np.abs([step[2] for step in now.steps])))
     fast = float(w[kernel.UNIT, kernel.FAST])
     proven = fast - now.followed - turned >= FOLLOWED or _undisputed(kept)
     lasts = time_s - kept.rejected_since_s >= LASTS_S
-    if since_s is None or not lasts or not proven or not _velocity_refused(filter, time_s):
+    may_be = lasts and proven and _velocity_refused(filter, time_s)
+    since_s = contradicted(now.steps) if may_be else None
+    if since_s is None:
         if time_s - kept.rejected_since_s >= DISPUTED_S:
             kept.turns = replace(now, followed=fast)
         return

@@ -15,6 +15,7 @@ __all__ = [
     "ALONG",
     "PROMPT",
     "SAMPLE",
+    "SCATTERED",
     "SMOOTH_RUN",
     "STRETCH",
     "TOLD_SINCE",
@@ -63,6 +64,7 @@ _READINGS = types.Array(types.boolean, 1, "C")
 _MATRIX_OF_PLACES = types.Array(types.int64, 2, "C")
 STRETCH = (
     *(_ROW, _PLACES, _ROW, _ROW, _MATRIX_OF_PLACES, _TABLE, _TABLE),
+    types.Tuple((_TABLE, _TABLE)),
     types.Tuple((_ROW, _ROW, _TABLE, _TABLE)),
     types.Tuple((_ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE, _ROW, _ROW)),
     *(_TABLE, _ROW, _ROW),
@@ -82,6 +84,11 @@ SAMPLE = (_MATRIX_OF_PLACES, _TABLE, types.float64, types.float64, types.int64)
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
 #: The same for `navfilter.kernels.listen.told_since`.
 TOLD_SINCE = (_ROW, _TABLE, _PLACES, _ROW, _TABLE, types.float64, _TABLE, _TABLE)
+#: The same for `navfilter.kernels.scatter.heard`.
+SCATTERED = (
+    *(_ROW, _ROW, _ROW, types.int64, types.int64, _TABLE, types.int64, _TABLE, _ROW, _TABLE),
+    *(types.float64, types.boolean),
+)
 #: The same for `navfilter.kernels.kalman.turns_along`, `turn_velocity` and `turn_current`.
 ALONG = (_TABLE, types.float64, types.float64)
 TURN = (_TABLE, _ROW, types.UniTuple(types.float64, 3), _ROW)

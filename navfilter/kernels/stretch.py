@@ -9,13 +9,24 @@ import math
 
 import numpy as np
 
-from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, shifts, strapdown
+from navfilter.kernels import (
+    addresses,
+    checksum,
+    drive_watch,
+    kalman,
+    listen,
+    measurement,
+    past,
+    scatter,
+    shifts,
+    strapdown,
+)
 from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped, standing
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 
-SOURCES = checksum(addresses, drive_watch, kalman, listen, measurement, past, shifts, strapdown)
+SOURCES = checksum(addresses, drive_watch, kalman, listen, measurement, past, scatter, shifts, strapdown)
 
 
 def _keyed(make):
@@ -57,9 +68,9 @@ MORE_RECENT = 512
 # feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
 LOOK_S = 11
-# Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
-# of the last reading, how long readings wait.
-LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
+# Columns of `heard`, a row a channel: last reading, last tick, period, until when readings are the kernel's though some
+# have been refused, ticks of the last reading, how long readings wait.
+LAST_S, TICKED_S, CHANNEL_PERIOD_S, USUAL_S, TICKS, WAIT_S = range(6)
 # What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last (the
 # first two are columns of `heard`, too); white variance of the heading in its last reading; for how many ticks its
 # coloured error may have been beyond one sd.
@@ -691,6 +702,26 @@ def _listened(sources):
 
 
 @_keyed
+def _scattered(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def _scattered(bench, own, P, nav, Cr, t, kept, facts, w):
+        """NIS by its description of a reading that was used, of a sensor that scatters by more, see `scatter.heard`.
+
+        own: row of `plan`; w: what the watch over the drive remembers: nothing is learnt while an axis is left out.
+        """
+        _ = sources
+        a, busy = own[0], w.shape[0] > 0 and w[w.shape[0] - 1, drive_watch.OFF_S] > 0.0
+        for j in range(w.shape[0] - 1):
+            busy |= w[j, drive_watch.HEEDED] > drive_watch.NOISY
+        mine, mem = kept[: scatter.LAST + 3 * a + 2 * a * scatter.MOST], bench[own[MEM] : own[CONSTANTS]]
+        R, S = shaped(bench[own[NOISE] : own[NOISE] + a * a], a, a), own[RECORD]
+        return scatter.heard(mine, facts, mem, S, own[VERDICT], R, own[NORTH], P, nav, Cr, t, busy)
+
+    return _scattered
+
+
+@_keyed
 def look_at_biases(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
@@ -743,6 +774,7 @@ def stretch(sources):
         plan,
         heard,
         watched,
+        scattered,
         state,
         drive,
         samples,
@@ -756,8 +788,9 @@ def stretch(sources):
         """Samples and readings in the order of their times, until all are done or something is Python's; says why it
         ended.
 
-        now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, and `state`
-        (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
+        now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, `scattered`
+        (what is remembered and known of each channel, see `scatter`; no rows where none is watched) and `state` (nav,
+        x, P, acc) are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
         limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
         their `kalman.places`, and (r, 1 + rows) for ticks and what `listen` notes of each reading. looking: what
         `look_at_biases` takes last. given, of readings: when taken (r,), channel, samples before it, whether Python has
@@ -771,6 +804,7 @@ def stretch(sources):
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads, _ = out
         undone, ears, places, opened = hearing
+        kept, facts = scattered
         m = acc.shape[1]
         period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
         work = bench[spot[MEM] :]
@@ -779,11 +813,12 @@ def stretch(sources):
         for e in range(cursor[READING], times.size):
             cursor[READING] = e
             i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
-            if t >= settings[UNTIL_S] or not good[e] or heard[i, DOUBTED] != 0.0:
+            if t >= settings[UNTIL_S] or not good[e] or not t < heard[i, USUAL_S]:
                 return NEXT
             seen = watched[i]
             stuck = seen[SAME] + 1.0 >= STUCK_READINGS and seen[HEARD_S] - seen[SINCE_S] >= STUCK_S
-            if undone.size > 0 and same[e] and stuck:
+            scatters = kept.shape[0] > 0 and kept[i, scatter.WATCHED] != 0.0
+            if (undone.size > 0 or scatters) and same[e] and stuck:
                 return NEXT
             if end > begin:
                 block, taken = samples[begin:end], stamps[begin:end]
@@ -810,16 +845,21 @@ def stretch(sources):
             elapsed, mine[TICKED_S] = t - mine[TICKED_S], t
             count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / mine[CHANNEL_PERIOD_S])))
             own, variance = plan[i], variances[min(e, variances.shape[0] - 1)]
+            verdict, a = own[MEM] + own[VERDICT], own[0]
+            if scatters:
+                scatter.widen(kept[i], facts[i], variance, a)
+                variance = facts[i, scatter.BY_AXIS + 2 * a : scatter.BY_AXIS + 3 * a]
             recent = samples_before[cursor[NEWEST] : cursor[NEWEST] + known]
             filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (values[e], variance, count)
             addresses.at_correction(spot[CORRECTION], filter + reading + (mine[WAIT_S] + now[TIME_S] - t,))
             cursor[UNFOLDED] = 0
             mine[LAST_S], mine[TICKS] = t, count
-            verdict, a = own[MEM] + own[VERDICT], own[0]
             for j in range(3 + 2 * a):
                 notes[e, j] = bench[verdict + j]
             if notes[e, 2] == 0.0 or (own[PARTLY] and _partly(notes[e], a)):
                 return JUDGED
+            if scatters:
+                notes[e, 0] = bench[verdict] = _scattered(bench, own, P, nav, Cr, t, kept[i], facts[i], drive[5])
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
             by = drv[strapdown.OWN]
             _note_row(now, cursor, settings[INTERVAL_S], nav, x[: m - 9], x, P, acc, inertial, by, rows, info, work)
