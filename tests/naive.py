@@ -2242,3 +2242,90 @@ def rows_of_text(values, digits, marks, given, begin, out):
         text += b"," if column < digits.size - 1 else b"\n"
     out[: len(text)] = np.frombuffer(text, np.uint8)
     return values.size, len(text)
+
+
+# ---------------------------------------------------------------- noise that is larger than described
+
+
+def usual(squares):
+    """Mean of squares of normal variables, the largest quarter left out."""
+    kept = np.sort(squares)[: int(0.75 * len(squares))]
+    return np.mean(kept) / 0.3685 if len(squares) >= 8 else 0.0
+
+
+def beyond(bends, axis, latest, newest, white, work):
+    a = bends.shape[1] // 2
+    rows = np.roll(bends, -newest - 1, axis=0)[len(bends) - latest :]
+    known = np.isfinite(rows[:, axis])
+    squares, slack = rows[known, axis] ** 2 / 6.0, rows[known, a + axis]
+    ratio = usual(squares / np.maximum(white + slack, 1e-300))
+    if ratio > 300.0**2:
+        return math.inf
+    if ratio <= 2.5:
+        return 0.0
+    telling = slack <= np.median(slack)
+    return min(max(usual((squares - slack)[telling]) - white, 1.5 * white), 300.0**2 * white)
+
+
+def widen(kept, facts, variance, axes):
+    own = facts[4 + axes : 4 + 2 * axes] if np.isnan(variance[0]) else variance[:axes]
+    facts[4 + 2 * axes : 4 + 3 * axes] = own + kept[6 + 2 * axes : 6 + 3 * axes]
+
+
+def may_have_gone(kind, P, speed, dt, Cr, period_s):
+    """Variance by which dead reckoning may err in a time, in the units of a heading (0), velocity (1), or another."""
+    C, white = Cr[:, :-1], Cr[:, -1]
+    lasting = np.diag(C @ P[9 : 9 + C.shape[1], 9 : 9 + C.shape[1]] @ C.T)
+    if kind == 0:
+        return lasting[:3].max() * dt**2 + white[:3].max() * period_s * dt
+    if kind == 1:
+        tilt = 9.81**2 * max(P[6, 6], P[7, 7])
+        return (lasting[3:].max() + tilt) * dt**2 + white[3:].max() * period_s * dt
+    return (np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2
+
+
+def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
+    a, (lasting, kind, period, drive_period) = len(R), facts[:4]
+    refused, before_s, watched, alone = kept[:4]
+    last, step_before, excess = kept[6 : 6 + 3 * a].reshape(3, a)
+    bends, wander, own = kept[6 + 3 * a :].reshape(-1, 2 * a), facts[4 : 4 + a], np.diag(R)
+    nis, _, used = mem[verdict : verdict + 3]
+    residual, sd = mem[verdict + 3 : verdict + 3 + 2 * a].reshape(2, a)
+    S = mem[S : S + a * a].reshape(a, a)
+    dt = time_s - before_s
+    refused = (refused * math.exp(-max(dt, 0.0) / (16.0 * period)) if refused else 0.0) + (not used)
+    if ignored or not (watched or refused >= 3.0):
+        kept[:] = 0.0
+        kept[:2] = refused, time_s
+        return nis
+    added = bool(np.any(excess)) and not np.any(np.isinf(excess))
+    step = np.full(a, np.nan)
+    if watched and dt <= 3.0 * period:
+        step = residual - last
+        if north >= 0:
+            step[north] = (step[north] + np.pi) % (2.0 * np.pi) - np.pi
+        slack = np.zeros(a)
+        if lasting:
+            pushed = Cr[3:, -1].max() * drive_period * period * (2.0 if kind == 1 else period**2)
+            seen = 0.0 if added or alone > 1 else np.maximum(np.diag(S) - own, 0.0)
+            slack = (2.0 * wander + pushed) / 6.0 + seen
+        bends[int(kept[5])] = np.concatenate([step - step_before, slack])
+        kept[4:6] = min(kept[4] + 1, 48), (kept[5] + 1) % 48
+    if added:
+        seen = np.isfinite(sd)
+        left = (S - np.diag(excess))[np.ix_(seen, seen)]
+        nis = residual[seen] @ np.linalg.solve(left, residual[seen])
+    plain = own - (excess if added else 0.0)
+    if not lasting:
+        speed = np.linalg.norm(nav[3:6])
+        plain = plain + (wander + may_have_gone(kind, P, speed, period, Cr, drive_period)) * 2.0 / 6.0
+    count, newest = int(kept[4]), int(kept[5] - 1) % 48
+    found = [[beyond(bends, i, min(count, n), newest, plain[i], None) for i in range(a)] for n in (16, 48)]
+    excess[:] = found[1] if any(found[0]) else 0.0
+    if count == 48 and not any(excess) and refused < 1.0:
+        kept[:] = 0.0
+        kept[1] = -math.inf
+        return nis
+    kept[:4] = refused, time_s, 1.0, 0.0 if used else alone + 1
+    last[:], step_before[:] = residual, step
+    return nis

@@ -66,7 +66,16 @@ FLOORS = [
         "learning.refit",
         "learning.learning_memory",
     },
-    {"learning.schedule", "navigator_memory", "beginning", "navigator", "readings", "passage", "passage_again", "prompt"},
+    {
+        "learning.schedule",
+        "navigator_memory",
+        "beginning",
+        "navigator",
+        "readings",
+        "passage",
+        "passage_again",
+        "prompt",
+    },
     {"lane_clock", "lane_missions", "alignment"},
     {
         "assembly",

@@ -2,14 +2,16 @@
 
 import math
 
+import naive
 import numpy as np
 import pytest
+from kernel_inputs import assert_close, random_nav, run_both, spd
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter import passage
-from navfilter.filter import scatter
 from navfilter.filter.memory import differences
+from navfilter.kernels import scatter
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu, tactical_imu
 from navfilter.simulation.scenarios import lawnmower
@@ -73,7 +75,68 @@ def test_a_velocity_in_another_unit_for_a_minute_is_as_good_as_none():
 
 
 def beyond(bends, white, slack=0.0):
-    return scatter.beyond(bends, np.full_like(bends, slack), white)
+    """By axis; empty where it is none in any."""
+    rows = np.zeros((scatter.MOST, 2 * len(white)))
+    rows[: len(bends)] = np.column_stack([bends, np.full_like(bends, slack)])
+    at, work = (len(bends), len(bends) - 1), np.zeros(3 * scatter.MOST)
+    excess = [scatter.beyond(rows, axis, *at, variance, work) for axis, variance in enumerate(white)]
+    return excess if any(excess) else ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("axes", "kind", "lasting", "north"), [(1, 0, 0, 0), (3, 1, 1, -1), (3, 2, 0, -1), (1, 2, 1, -1)]
+)
+def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, north):
+    """A sensor that gets noisy, jumps in unit, is lost for a while, is heard wrong, and gets quiet again."""
+    rng, unit = np.random.default_rng(seed), 0.02 if north >= 0 else 1.0  # headings within half a turn
+    kept, facts = np.zeros(scatter.size(axes)), np.zeros(scatter.facts_size(axes))
+    facts[:4], facts[4 : 4 + 2 * axes] = (lasting, kind, 0.2, 0.02), unit**2 * rng.uniform(0.1, 1.0, 2 * axes)
+    kept[scatter.TIME_S] = -math.inf
+    Cr, P, nav = unit * rng.normal(size=(6, 5)) ** 2, unit * spd(rng, 14), random_nav(rng)
+    noise = 3.0 * unit * rng.normal(size=(400, axes))
+    noise[100:150] *= 5.0
+    noise[200:230] *= 1e4
+    noise[300:] *= 0.05
+    places, ends, worthless, added = (0, axes * axes), 0, 0, 0
+    for k, residual in enumerate(noise):
+        excess = kept[6 + 2 * axes : 6 + 3 * axes]
+        R = unit**2 * spd(rng, axes) + np.diag(excess if np.isfinite(excess).all() else np.zeros(axes))
+        seen = rng.random(axes) > (0.1 if axes > 1 else 0.0)
+        seen[0] = True
+        S = R + unit**2 * spd(rng, axes, 0.1)
+        sd = np.where(seen, np.sqrt(np.diag(S)), np.nan)
+        nis = residual[seen] @ np.linalg.solve(S[np.ix_(seen, seen)], residual[seen])
+        used = float(nis < 8.0 * seen.sum())
+        residual = np.where(seen, residual, np.nan)
+        mem = np.concatenate([S.ravel(), [nis, seen.sum(), used], residual, sd])
+        time_s = 0.2 * k + (2.0 if k > 180 else 0.0)
+        if used and not kept[scatter.WATCHED]:
+            continue
+        of = (mem, *places, R, north, P, nav, Cr, time_s, k == 121)
+        own, twin = kept.copy(), kept.copy()
+        by_kernel, by_twin = scatter.heard(own, facts.copy(), *of), naive.heard(twin, facts.copy(), *of)
+        assert by_kernel == pytest.approx(by_twin, rel=1e-9)
+        np.testing.assert_allclose(own, twin, rtol=1e-9, atol=1e-12)
+        kept = own
+        ends += kept[scatter.TIME_S] == -math.inf
+        worthless += np.isinf(kept[6 + 2 * axes : 6 + 3 * axes]).any()
+        added += bool(np.any(kept[6 + 2 * axes : 6 + 3 * axes]))
+        variance = np.where(rng.random() > 0.5, np.nan, rng.uniform(1.0, 2.0, axes))
+        assert_close(*(args[1] for args in run_both(scatter.widen, kept, facts, variance, axes)))
+    assert added > 20 and (worthless > 5 or north >= 0) and ends > 0
+
+
+@pytest.mark.parametrize("count", [7, 8, 30, 48])
+def test_what_is_beyond_the_variances_is_that_of_the_twin(count):
+    rng = np.random.default_rng(count)
+    for newest in (count - 1, 5):
+        bends = np.abs(rng.normal(size=(scatter.MOST, 4)))
+        bends[rng.random(scatter.MOST) < 0.2, 0] = np.nan
+        for axis in range(2):
+            for white in (1e-3, 0.05, 10.0):
+                run = bends, axis, count, newest, white, np.zeros(3 * scatter.MOST)
+                assert scatter.beyond(*run) == pytest.approx(naive.beyond(*run), rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))
