@@ -2101,8 +2101,9 @@ def stretch(
     settings,
     bench,
     plan,
-    heard,
+    channels,
     watched,
+    scattered,
     state,
     drive,
     samples,
@@ -2120,6 +2121,7 @@ def stretch(
     known = max(0, len(before) - 512)
     period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, _ = settings
     undone, ears, where, opened = hearing
+    kept, facts = scattered
     rows, info, records, heads, trace = out
     plan[:, 33] = not (records.size or undone.size)
 
@@ -2161,9 +2163,10 @@ def stretch(
         if e < cursor[0]:
             continue
         cursor[0] = e
-        if t >= until or not good or heard[i, 3]:
+        if t >= until or not good or not t < channels[i, 3]:
             return 1
-        if undone.size and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 8.0:
+        scatters = len(kept) and kept[i, 2]
+        if (undone.size or scatters) and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 8.0:
             return 1
         if end > cursor[1] >= cursor[7]:
             found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
@@ -2200,23 +2203,32 @@ def stretch(
                 return 5
         if full(plan[-1, 27]):
             return 4
-        early, wait = t - now[0], heard[i, 5]
-        if t <= heard[i, 0] or early < -1.001 * period or t - wait - now[1] > ahead:
+        early, wait = t - now[0], channels[i, 5]
+        if t <= channels[i, 0] or early < -1.001 * period or t - wait - now[1] > ahead:
             return 2
         watched[i, :2] = (watched[i, 0] + 1.0, watched[i, 1]) if same else (1.0, t)
         if early > 1e-7 and drv[13] and (early <= 1.001 * period or wait == 0):
             at(plan[-1, 9])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
             now[0] = t
-        elapsed = t - heard[i, 1]
-        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
+        elapsed = t - channels[i, 1]
+        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / channels[i, 2]))
         spot, variances = plan[i], given[6]
-        reading = given[5][e], variances[min(e, len(variances) - 1)], count, wait + now[0] - t
+        a, variance = spot[0], variances[min(e, len(variances) - 1)]
+        if scatters:
+            widen(kept[i], facts[i], variance, a)
+            variance = facts[i, 4 + 2 * a : 4 + 3 * a]
+        reading = given[5][e], variance, count, wait + now[0] - t
         correction(bench, spot, P, nav, x, acc, drv, Cr, before[cursor[9] : cursor[9] + known], *reading)
-        cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
+        cursor[2], channels[i, :2], channels[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
         note[:] = bench[spot[15] + spot[26] :][: len(note)]
         if not note[2]:
             return 3
+        if scatters:
+            mem, R = bench[spot[15] : spot[16]], bench[spot[23] : spot[23] + a * a].reshape(a, a)
+            of, busy = kept[i, : 6 + 3 * a + 96 * a], len(w) and (w[6, 2] > 0.0 or (w[:6, 16] > 1.0).any())
+            note[0] = heard(of, facts[i], mem, spot[27], spot[26], R, spot[31], P, nav, Cr, t, busy)
+            bench[spot[15] + spot[26]] = note[0]
         record(bench[spot[15] : spot[15] + spot[27]], spot[0], *spot[2:5], spot[7])
         row()
         _fared(watched[i], t, *note[:2], nav)
@@ -2224,7 +2236,7 @@ def stretch(
             cursor[0] = e + 1
             return 6
         if t >= settings[11]:
-            if look_at_biases(bench, plan, heard, nav, x, P, w, now[0], *looking):
+            if look_at_biases(bench, plan, channels, nav, x, P, w, now[0], *looking):
                 cursor[0] = e + 1
                 return 7
             settings[11] = 10.0 * (np.floor(looking[2][0] / 10.0) + 1.0)

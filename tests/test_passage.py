@@ -217,17 +217,18 @@ def compare_stretches(monkeypatch, vehicle, mission, **how):
         before = int(args[1][0])
         why, twins = ours(*args), naive.stretch(*copies)
         assert why == twins
-        rows, records, heard = args[1][4], args[1][6], args[12]
-        undone = args[7][3].shape[1] + 9  # the rest is work space
-        assert_close([heard[0][:undone], heard[1]], [copies[12][0][:undone], copies[12][1]], 1e-8)
-        taken = slice(before, args[1][0]) if args[12][0].size else slice(0)
-        assert_close([heard[3][taken, :2]], [copies[12][3][taken, :2]], 1e-8)
+        rows, records, heard = args[1][4], args[1][6], args[13]
+        undone = args[8][3].shape[1] + 9  # the rest is work space
+        assert_close([heard[0][:undone], heard[1]], [copies[13][0][:undone], copies[13][1]], 1e-8)
+        taken = slice(before, args[1][0]) if args[13][0].size else slice(0)
+        assert_close([heard[3][taken, :2]], [copies[13][3][taken, :2]], 1e-8)
         reasons.add(why)
-        head = 2 * args[7][3].shape[1]  # the rest of acc is work space
-        for one, other in zip((args[7], args[8][:1]), (copies[7], copies[8][:1]), strict=True):
+        head = 2 * args[8][3].shape[1]  # the rest of acc is work space
+        for one, other in zip((args[8], args[9][:1]), (copies[8], copies[9][:1]), strict=True):
             assert_close([part[:head] for part in one], [part[:head] for part in other], 1e-8)
         assert_close(args[:3], copies[:3], 0.0)
         assert_close(args[5:7], copies[5:7], 1e-9)
+        np.testing.assert_allclose(args[7][0], copies[7][0], rtol=1e-6, atol=1e-12)  # with infinities in it
         assert_close([args[-1][0][:rows]], [copies[-1][0][:rows]], 1e-9)
         assert_close([args[-1][2][:records]], [copies[-1][2][:records]], 1e-8)
         compared.append(rows)
@@ -248,6 +249,39 @@ def test_stretch_is_its_twin(learning, monkeypatch):
         monkeypatch.setattr(LearningSchedule, "EARLY_S", ())
         monkeypatch.setattr(LearningSchedule, "REVISED_S", 1.0)
     assert (kernels.LEARN in compare_stretches(monkeypatch, vehicle, mission)) == learning
+
+
+def quiet(vehicle):
+    """The same, described with a fraction of the noise; of the DVL one axis."""
+    dvl = tuple(nf.White(sd=sd) for sd in (0.004, 0.03, 0.03))
+    return vehicle.with_error(compass=nf.White(sd=0.002), dvl=dvl, depth=nf.White(sd=0.003))
+
+
+def test_stretch_with_noise_that_is_larger_than_described_is_its_twin(monkeypatch):
+    vehicle, mission = survey(20.0)
+    compare_stretches(monkeypatch, quiet(vehicle), mission)
+
+
+@pytest.mark.parametrize("learning", [False, True])
+@pytest.mark.parametrize("defects", [False, True])
+def test_noise_that_is_larger_than_described_in_stretches_as_one_by_one(defects, learning, monkeypatch):
+    """Each reading is heard, some are refused, and those behind them are used."""
+    vehicle, mission = survey(120.0)
+    vehicle, asked = quiet(vehicle), []
+    if defects:
+        mission = with_defects(mission)
+    if learning:
+        vehicle = vehicle.with_error(depth=nf.LearnedArma(orders=[(0, 0)], window=400, hop=50))
+    taken = passage.Passage._correct
+    monkeypatch.setattr(passage.Passage, "_correct", lambda self, at: (asked.append(at), taken(self, at)))
+    stretches = nf.replay(vehicle, mission, smooth=True)
+    few, many = len(asked), sum(len(mission.streams[name]) for name in vehicle.sensors)
+    one_by_one(monkeypatch)
+    alone = nf.replay(vehicle, mission, smooth=True)
+    assert_same(stretches, alone)
+    assert_same(stretches.forward, alone.forward)
+    assert 0.5 < np.mean(stretches.residuals["compass"].used) < 1.0
+    assert few < 0.25 * many
 
 
 @pytest.mark.parametrize("constants", [False, True])
