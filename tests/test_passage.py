@@ -281,7 +281,7 @@ def test_noise_that_is_larger_than_described_in_stretches_as_one_by_one(defects,
     assert_same(stretches, alone)
     assert_same(stretches.forward, alone.forward)
     assert 0.3 < np.mean(stretches.residuals["compass"].used) < 1.0
-    assert few < 0.25 * many
+    assert few < 0.4 * many  # the compass has jumped for half of the time: those are Python's
 
 
 @pytest.mark.parametrize("constants", [False, True])
