@@ -62,6 +62,15 @@ def calibrated(vehicle: nf.Vehicle, *, arms: bool = True, clocks: bool = False) 
     return nf.Vehicle(replace(vehicle.drive, **unit), sensors, vehicle.name)  # type: ignore[arg-type]
 
 
+def too_sure(vehicle: nf.Vehicle, *, slow: bool = False) -> nf.Vehicle:
+    """The same with the DVL's white noise described five times too small, or a compass without its slow error: readings
+    are heard one by one, or refused.
+    """
+    if slow:
+        return vehicle.with_error(compass=nf.GaussMarkov(sd=0.2 * DEG, tau_s=300.0) + nf.White(sd=0.1 * DEG))
+    return vehicle.with_error(dvl=nf.GaussMarkov(sd=0.01, tau_s=10.0) + nf.White(sd=0.002))
+
+
 def beside(vehicle: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Any]:
     """What more states and more rows cost, by the time of the plain filter in the same turn."""
     cases = {
@@ -69,6 +78,8 @@ def beside(vehicle: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, An
         "constants of the unit": (calibrated(vehicle, arms=False), 5.0),
         "and of its sensors": (calibrated(vehicle), 5.0),
         "and all clocks": (calibrated(vehicle, clocks=True), 5.0),
+        "noise of a DVL too small": (too_sure(vehicle), 5.0),
+        "a compass too smooth": (too_sure(vehicle, slow=True), 5.0),
         "a row per second": (vehicle, 1.0),
         "a row per sample": (vehicle, None),
     }
