@@ -21,7 +21,6 @@ from navfilter.filter import aside, over_ground
 from navfilter.filter.channel import Channel
 from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.integrity import CONFIRMED_S
-from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.refused_way import REACH_M
 from navfilter.filter.slack import reckoned, wander
@@ -303,7 +302,7 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
 # ---------------------------------------------------------------- the sensor was wrong
 def offset_places(channel: Channel) -> NDArray[np.int64]:
     """Where the constants of a sensor that has jumped stand in the error state; empty where it has none."""
-    return channel.group.start + offset_states(channel.sensor.models, channel.period_s)
+    return np.asarray(channel.group.start + channel.offsets)
 
 
 def is_none(channel: Channel, x: Array, P: Array) -> bool:
@@ -319,11 +318,12 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
         Covariance.
     """
     places = offset_places(channel)
+    if not (x[places - 9] ** 2 <= CHANCE**2 * P[places, places]).all():
+        return False
     off = channel.C[:, places - channel.group.start]
     known = np.einsum("ij,jk,ik->i", off, P[np.ix_(places, places)], off)
-    zero = (x[places - 9] ** 2 <= CHANCE**2 * P[places, places]).all()
     none = np.all((off @ x[places - 9]) ** 2 <= CHANCE**2 * known)
-    return bool(zero and none and np.all(known <= np.diag(channel.R) + wander(channel, math.inf, with_offset=False)))
+    return bool(none and np.all(known <= np.diag(channel.R) + wander(channel, math.inf, with_offset=False)))
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:

@@ -18,7 +18,6 @@ from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
 from navfilter.filter.described import Described
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import offset_states
 from navfilter.filter.reckoned import Reckoned
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.refused_way import RefusedWay
@@ -225,7 +224,7 @@ class Channel:
         known = (one for one in (self._described, self._foreseen) if one and one.is_of(sensor, group, variance))
         self._described = own = next(known, None) or self._describe(sensor, group, variance)
         self.offset, self.limits, self.slow, self.facts = own.offset, own.limits, own.slow, None
-        self._proportions, self.deviations = own.proportions, own.deviations
+        self._proportions, self.deviations, self.offsets = own.proportions, own.deviations, own.offsets
         turned = -layout.current_of(self.name)
         if sensor.deviation is not None:
             turned = group.start + group.errors + sensor.deviation
@@ -407,7 +406,7 @@ class Channel:
 
     def jumped_by(self, x: Array) -> Array:
         """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""
-        states = offset_states(self.sensor.models, self.period_s)
+        states = self.offsets
         return np.asarray(self.C[:, states] @ x[self.group.start - 9 + states])
 
     def unwrap(self, x: Array) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.belief import believed
 from navfilter.filter.layout import Group
-from navfilter.filter.offsets import deviations, has_offset, proportions
+from navfilter.filter.offsets import deviations, has_offset, offset_states, proportions
 from navfilter.filter.sight import Sight
 from navfilter.kernels import addresses, past
 from navfilter.kernels.addresses import address
@@ -36,6 +36,8 @@ class Described(NamedTuple):
         It has jumped.
     kernels : tuple of int
         Addresses of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked.
+    offsets : ndarray of int
+        Which of its error states are constants of a jump.
     proportions, deviations : (ndarray, ndarray)
         See `navfilter.filter.offsets`.
     limits : ndarray
@@ -53,6 +55,7 @@ class Described(NamedTuple):
     variance: Array
     offset: bool
     kernels: tuple[int, int, int, int]
+    offsets: Places
     proportions: tuple[Places, Array]
     deviations: tuple[Places, Array]
     limits: Array
@@ -95,6 +98,7 @@ class Described(NamedTuple):
         parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),
+            offset_states(sensor.models, period_s),
             proportions(sensor.models, period_s),
             deviations(sensor.models, period_s),
             limits,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.offsets import offset_states
 from navfilter.kernels import listen
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
     C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
     if not with_offset:
         C = C.copy()
-        C[:, offset_states(channel.sensor.models, channel.period_s)] = 0.0
+        C[:, channel.offsets] = 0.0
     tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
     ticks = min(dt / channel.period_s, 1e9)
     return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
