@@ -10,7 +10,8 @@ from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter import passage
-from navfilter.filter.memory import differences
+from navfilter.filter.memory import copied, differences
+from navfilter.filter.scatter import Scatter
 from navfilter.kernels import scatter
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu, tactical_imu
@@ -65,6 +66,24 @@ def test_it_is_told_ends_with_the_noise_and_stretches_lives_and_snapshots_give_t
     again = nf.Navigator.restore(vehicle, half.snapshot())
     feed(again, vehicle, noisy, after_s=NOISE_S + 10.0)
     assert not differences(whole.filter.memory, again.filter.memory)
+
+
+def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
+    """A snapshot may have been changed outside."""
+    vehicle, mission = dive()
+    nav, _ = fly(vehicle, altered(mission, "dvl", noise(0.1), NOISE_S), until_s=NOISE_S + 10.0)
+    memory = nav.filter.memory
+    for change in ((scatter.COUNT, 1e9), (scatter.COUNT, math.nan), (scatter.NEXT, -1.0), (scatter.NEXT, 48.0)):
+        other = copied(memory)
+        noted = other.channels["dvl"].scatter.noted.copy()
+        noted[change[0]] = change[1]
+        other.channels["dvl"].scatter = Scatter(noted)
+        with pytest.raises(ValueError, match="the noise of dvl"):
+            nav.filter.recall(other)
+    other = copied(memory)
+    other.channels["dvl"].scatter = Scatter(memory.channels["dvl"].scatter.noted[:-1])
+    with pytest.raises(ValueError, match="the noise of dvl"):
+        nav.filter.recall(other)
 
 
 def test_a_velocity_in_another_unit_for_a_minute_is_as_good_as_none():

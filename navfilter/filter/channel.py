@@ -184,8 +184,7 @@ class Channel:
         fixes = sensor.open_loop == listen.POSITION and sensor.axes == 3  # none for longer than this: it has dived [s]
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
-        self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
-        self.lead_s = sensor.lead_s
+        self.sight, self.lead_s = Sight(sensor, start) if sensor.place_and_clock() else None, sensor.lead_s
         self.past_s = self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + past.WINDOW_S * any(sensor.lever_arm_sd_m)
         # kernels of a user's own are asked by Python: what they raise is to be seen
         self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
@@ -324,6 +323,8 @@ class Channel:
 
     @memory.setter
     def memory(self, memory: ChannelMemory) -> None:
+        if memory.scatter is not None and not memory.scatter.is_of(self.axes):
+            raise ValueError(f"what is kept of the noise of {self.name} is not laid out as this vehicle's.")
         self._last[:] = memory.last
         memory.last = self._last
         self._memory = memory

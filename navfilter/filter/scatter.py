@@ -62,6 +62,13 @@ class Scatter:
         """Whether it says nothing."""
         return bool(np.isinf(self.excess).any())
 
+    def is_of(self, axes: int) -> bool:
+        """Whether a kernel can go by it, of a sensor of so many axes: it may have come from outside."""
+        if not isinstance(self.noted, np.ndarray) or self.noted.shape != (kernels.size(axes),):
+            return False
+        count, place = self.noted[[kernels.COUNT, kernels.NEXT]]
+        return bool(0.0 <= count <= kernels.MOST and 0.0 <= place < kernels.MOST)
+
     @classmethod
     def of(cls, noted: Array) -> Scatter | None:
         """What a kernel has noted; None where nothing is."""
@@ -70,20 +77,12 @@ class Scatter:
 
 def noted(channel: Channel) -> Array:
     """What is noted of a channel, to be written to."""
-    kept, size = channel.memory.scatter, kernels.size(channel.axes)
-    if kept is None or not _is_sound(kept.noted, size):
-        fresh = np.zeros(size)
-        fresh[kernels.TIME_S] = -math.inf
-        return fresh
-    return kept.noted.copy()
-
-
-def _is_sound(noted: Array, size: int) -> bool:
-    """Whether a kernel can count by it: it may have come from outside."""
-    if noted.shape != (size,):
-        return False
-    count, place = noted[kernels.COUNT], noted[kernels.NEXT]
-    return bool(0.0 <= count <= kernels.MOST and 0.0 <= place < kernels.MOST)
+    kept = channel.memory.scatter
+    if kept is not None:
+        return kept.noted.copy()
+    fresh = np.zeros(kernels.size(channel.axes))
+    fresh[kernels.TIME_S] = -math.inf
+    return fresh
 
 
 def facts(filter: Filter, channel: Channel) -> Array:
