@@ -21,6 +21,7 @@ from navfilter.kernels import strapdown
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.filter.layout import Group
     from navfilter.filter.tape import Tape
     from navfilter.mechanisation import Mechanisation
 
@@ -65,6 +66,18 @@ class DriveWatch:
         self._unseen = np.repeat([rate_sd, force_sd], 3)
         per = self._period_s if self._increments else 1.0
         self.limits = RANGE_END * drive.limits() / per
+
+    @staticmethod
+    def expected(of: Group) -> Array:
+        """By how much samples are to differ from one to the next, with these states: standard deviation of the white
+        noise whose second differences are as large as those of all errors of an axis, which may be no white noise.
+        """
+        e = of.errors
+        C, Phi, Q, P0 = of.C, of.Phi[:e, :e], of.Q[:e, :e], of.P0[:e, :e]
+        # x(k) - 2 x(k-1) + x(k-2), by what stands at k-2 and what has come since
+        last, new = C @ (Phi @ Phi - 2.0 * Phi + np.eye(e)), C @ (Phi - 2.0 * np.eye(e))
+        coloured = (np.diag(A @ V @ A.T) for A, V in ((last, P0), (new, Q), (C, Q)))
+        return np.asarray(np.sqrt(of.r + sum(coloured) / 6.0))
 
     def fresh(self) -> Array:
         """What it remembers before the first sample."""

@@ -72,8 +72,8 @@ def look(samples, w, sd, limits, period_s, increments):
     """Look at samples in their order, and put what is known in place of what bad axes say: a gyro's rate is 0, an
     accelerometer's force that of a vehicle at rest.
 
-    samples (n, 7): seconds since the one before, six values; changed in place. sd (6,): white standard deviation of one
-    rate (force) by the vehicle's description; limits (6,): where its range ends. Returns after how many samples
+    samples (n, 7): seconds since the one before, six values; changed in place. sd (6,): of the white noise of one rate
+    (force) whose second differences would be as large as the vehicle's description says; limits (6,): where its range ends. Returns after how many samples
     something has to be looked at (``w[6, NEWS]``), or n.
     """
     unit, n = w[UNIT], 0
@@ -123,12 +123,13 @@ def _look_at_ordinary(samples, n, w, sd, limits, period_s, increments):
         square, level = times(off, off), if_below(noise, white, white, noise)
         lonely = if_below(times(all_of(0.99 * SPIKE * SPIKE / 6.0), level), square, magnitude(x - before), nothing_less)
         now_square = times(all_of(4.0), square)
-        bound = times(all_of(CLIP), level)
+        bound = if_below(none, level, times(all_of(CLIP), level), nothing_less)
         now_square = if_below(bound, now_square, bound, now_square)
         gain = if_below(quick, part, part, quick)
         gain = if_below(one, gain, one, gain)
         now_noise = noise + times(now_square - noise, gain)
-        bound = times(all_of(CLIP), if_below(usual, white, white, usual))
+        level = if_below(usual, white, white, usual)
+        bound = if_below(none, level, times(all_of(CLIP), level), nothing_less)
         now_square = if_below(bound, now_square, bound, now_square)
         gain = if_below(slow, part, part, slow)
         now_usual = if_below(ran, all_of(3.0), usual + times(now_square - usual, gain), usual)
@@ -192,16 +193,17 @@ def _look_at_axes(sample, w, sd, limits, period_s, increments):
         level = max(a[NOISE], white)
         if a[SEEN] >= 2.0 and not gap:
             off = a[LAST] - 0.5 * (x + a[BEFORE])
-            lonely = off * off > SPIKE * SPIKE * level / 6.0 and abs(x - a[BEFORE]) < 0.5 * abs(off)
+            lonely = off * off > SPIKE * SPIKE * level / 6.0 > 0.0 and abs(x - a[BEFORE]) < 0.5 * abs(off)
             if lonely and a[SEEN] * period_s > KNOWN_S and a[CODE] == GOOD:
                 a[SPIKES] += 1.0
                 a[SIZE] = off
                 unit[NEWS] = 1.0
-            square = min(4.0 * off * off, CLIP * level)
+            square = min(4.0 * off * off, CLIP * level if level > 0.0 else math.inf)
             a[NOISE] += (square - a[NOISE]) * min(1.0, max(period_s / NOISE_S, 1.0 / a[SEEN]))
             if a[RUN] < 3.0 and a[CODE] <= NOISY:
                 if a[SEEN] * period_s > KNOWN_S:
-                    square = min(square, CLIP * max(a[USUAL], white))
+                    level = max(a[USUAL], white)
+                    square = min(square, CLIP * level if level > 0.0 else math.inf)
                 a[USUAL] += (square - a[USUAL]) * max(period_s / USUAL_S, 1.0 / a[SEEN] if a[CODE] == GOOD else 0.0)
         a[SEEN] += 1.0
         a[BEFORE] = x if gap else a[LAST]
