@@ -152,6 +152,7 @@ def _compile_prompt() -> None:
         listen.told_since.compile(addresses.TOLD_SINCE)
         kalman.turns_along.compile(addresses.ALONG)
         kalman.turn_velocity.compile(addresses.TURN)
+        kalman.turn_tilts.compile(addresses.TURN_TILTS)
         kalman.turn_current.compile(addresses.TURN_CURRENT)
 
 

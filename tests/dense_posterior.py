@@ -129,7 +129,12 @@ class Capture:
     def turn_velocity(self, P, nav, before, change):
         kalman.turn_velocity(P, nav, before, change)
         for chain in (self.steps, self.samples):
-            chain[-1].G = naive.velocity_turn(change, self.n) @ chain[-1].G
+            chain[-1].G = naive.velocity_turn(change[:3], self.n) @ chain[-1].G
+
+    def turn_tilts(self, P, K, res, change):
+        kalman.turn_tilts(P, K, res, change)
+        for chain in (self.steps, self.samples):
+            chain[-1].G = naive.tilts_turn(change, self.n) @ chain[-1].G
 
     def turn_current(self, P, K, res, first):
         kalman.turn_current(P, K, res, first)

@@ -897,8 +897,8 @@ def attitude_reset(turn, n):
 
 
 def turn_velocity(P, nav, before, change):
-    change[:] = nav[3:6] - before
-    G = velocity_turn(change, len(P))
+    change[:3] = nav[3:6] - before
+    G = velocity_turn(change[:3], len(P))
     P[:] = G @ P @ G.T
 
 
@@ -906,6 +906,19 @@ def velocity_turn(change, n):
     """How the errors of a velocity that is known in the vehicle's axes change with it."""
     G = np.eye(n)
     G[3:6, 6:9] = -skew(change)
+    return G
+
+
+def turn_tilts(P, K, res, change):
+    change[:] = K[6:8] @ res
+    G = tilts_turn(change, len(P))
+    P[:] = G @ P @ G.T
+
+
+def tilts_turn(change, n):
+    """How the attitude's error changes when tilts that it counts from do, to first order."""
+    G = np.eye(n)
+    G[6:9, 6:9] += skew(np.r_[change, 0.0]) / 2
     return G
 
 
@@ -957,7 +970,7 @@ def places(dims):
         a * n,
         a * a,
         a,
-        4,
+        6,
         2 * a * a,
         a * n,
         a * (9 + par),
@@ -1027,13 +1040,14 @@ def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
 def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     """Adjoint of fold, tick, correction and reset, backward: Bierman (1973)."""
     n = len(lam)
-    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 4] if a else [])
+    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 6] if a else [])
     parts = np.split(record[: sum(sizes)], np.cumsum(sizes)[:-1])
     if a:
         H, K, Sinv = parts[2].reshape(a, n), parts[3].reshape(n, a), parts[4].reshape(a, a)
         turned = deviation_turn(K[:, 0], parts[5][0], deviation) if deviation > 0 else np.eye(n)
-        turned = current_turn(K, parts[5], -deviation) if deviation < 0 and parts[6][1:].any() else turned
-        D = turned @ velocity_turn(parts[6][1:], n) @ attitude_reset(parts[6][0], n) @ (np.eye(n) - K @ H)
+        turned = current_turn(K, parts[5], -deviation) if deviation < 0 and parts[6][1:4].any() else turned
+        turned = tilts_turn(parts[6][4:], n) @ turned @ velocity_turn(parts[6][1:4], n)
+        D = turned @ attitude_reset(parts[6][0], n) @ (np.eye(n) - K @ H)
         lam[:] = D.T @ lam - H.T @ Sinv @ parts[5]
         L[:] = D.T @ L @ D + H.T @ Sinv @ H
     for first, size, part in ((start, b, parts[1]), (0, m, parts[0])):
@@ -1971,6 +1985,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
             turn_velocity(P, nav, velocity, change)
             if dims[7] < 0:
                 turn_current(P, mem[places_[1] : places_[2]].reshape(n, a), res, -dims[7])
+        elif drv[126] and not drv[142]:
+            turn_tilts(P, mem[places_[1] : places_[2]].reshape(n, a), res, change[3:])
     if mem[places_[8] + 2]:
         K = mem[places_[1] : places_[2]].reshape(n, a)
         if seen and bench[facts]:

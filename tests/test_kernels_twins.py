@@ -625,7 +625,7 @@ def test_smoother_kernels(a, b, deviation):
             0.1 * rng.normal(size=(n, a)),
             spd(rng, a),
             rng.normal(size=a),
-            0.3 * rng.normal(size=4),
+            0.3 * rng.normal(size=6),
         ]
     record = np.concatenate([part.ravel() for part in parts])
     ours, twins = run_both(
@@ -649,7 +649,7 @@ def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
             [
                 (np.eye(head) + 0.1 * rng.normal(size=(head, head))).ravel(),
                 rng.normal(size=b * b),
-                *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 4)] if a else []),
+                *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 6)] if a else []),
             ]
         )
         for a, head, b, _, _ in kinds

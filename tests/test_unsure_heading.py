@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from kernel_inputs import assert_close, random_nav, run_both, spd
+from scipy.spatial.transform import Rotation
 
 import navfilter as nf
 from navfilter.kernels import kalman
@@ -53,6 +54,25 @@ def test_velocity_turns_with_the_attitude_by_what_it_has_become():
     P[3:, 3:] = before
     kalman.turn_velocity(P, nav, tuple(v), np.zeros(3))
     np.testing.assert_allclose(P[3:, 3:], after, atol=1e-14)
+
+
+def test_what_is_left_of_the_attitude_counts_from_the_tilts_as_corrected():
+    """The errors of an attitude that fixes have tilted, as rotations that are drawn have them."""
+    rng, n, change, sd = np.random.default_rng(4), 14, np.array([0.03, -0.02]), np.array([0.01, 0.02, 0.05])
+    K, residuals = 0.1 * rng.normal(size=(n, 3)), rng.normal(size=3)
+    ours, twins = run_both(kalman.turn_tilts, spd(rng, n), K, residuals, np.zeros(2))
+    assert_close([ours[0], ours[3]], [twins[0], twins[3]], 1e-13)
+    P, K = np.zeros((n, n)), np.zeros((n, 1))
+    P[6:9, 6:9], K[6:8, 0] = np.diag(sd**2), change
+    kalman.turn_tilts(P, K, np.ones(1), np.zeros(2))
+    # the error until then was what is taken off and what was not known; what is left is the product of both rotations
+    off = np.r_[change, 0.0]
+    drawn = Rotation.from_rotvec(off) * Rotation.from_rotvec(sd * rng.normal(size=(400_000, 3)) - off)
+    expected = np.cov(drawn.as_rotvec().T)
+    # 400,000 draws leave a part in 400 of a product of two sds, where 0.05 and 0.04 of one are told between tilts and
+    # heading, which were told apart before
+    np.testing.assert_allclose(P[6:9, 6:9] / np.outer(sd, sd), expected / np.outer(sd, sd), atol=8e-3)
+    assert abs(expected[0, 2]) > 0.04 * sd[0] * sd[2]
 
 
 def test_a_current_goes_with_the_heading_as_the_velocity_does():

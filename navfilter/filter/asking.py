@@ -156,6 +156,8 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
             kalman.turn_velocity(P, nav, before, channel.change)
             if channel.dims[7] < 0:
                 kalman.turn_current(P, channel.K, channel.res, -channel.dims[7])
+        elif memory.drv[strapdown.INERTIAL] and not own[0]:
+            kalman.turn_tilts(P, channel.K, channel.res, channel.change[3:])
         withhold(memory, channel, drive_output, kept)
 
 

@@ -269,7 +269,7 @@ class Channel:
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
-        self.change = mem[at[4] + 1 : at[5]]  # of the velocity, which turns with the attitude: `kalman.turn_velocity`
+        self.change = mem[at[4] + 1 : at[5]]  # of velocity and tilts: `kalman.turn_velocity`, `kalman.turn_tilts`
         self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)

@@ -89,9 +89,10 @@ SCATTERED = (
     *(_ROW, _ROW, _ROW, types.int64, types.int64, _TABLE, types.int64, _TABLE, _ROW, _TABLE),
     *(types.float64, types.boolean),
 )
-#: The same for `navfilter.kernels.kalman.turns_along`, `turn_velocity` and `turn_current`.
+#: The same for `navfilter.kernels.kalman.turns_along`, `turn_velocity`, `turn_tilts` and `turn_current`.
 ALONG = (_TABLE, types.float64, types.float64)
 TURN = (_TABLE, _ROW, types.UniTuple(types.float64, 3), _ROW)
+TURN_TILTS = (_TABLE, _TABLE, _ROW, _ROW)
 TURN_CURRENT = (_TABLE, _TABLE, _ROW, types.int64)
 #: The same for `navfilter.kernels.kalman.smooth_run`.
 SMOOTH_RUN = (

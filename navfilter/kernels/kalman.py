@@ -677,10 +677,10 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
     Joseph's form for the gain as rounded, P - K PH - PH' K' + K S K' = P - K W' - W K' with W = PH' - K S / 2, which
     costs O(n^2 a) and leaves P symmetric to the bit (Bierman, 1977, sec. V.2).
     The tilts left over are expressed at the corrected heading: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left Jacobian;
-    Markley, 2003), d the correction of the heading alone. That of the tilts is not among it: what tells them is gravity
-    in the vehicle's axes, whatever the heading is, and by G a correction of tilt would become one of the heading, whose
-    sum over thousands of readings is information out of noise. K: (n, a) receives the gain, turn: (1,) the heading's
-    correction. T: (2a, n) work.
+    Markley, 2003), d the correction of the heading alone. That of the tilts is not among it where a velocity in the
+    vehicle's axes tells them by gravity, whatever the heading is: by G a correction of tilt would become one of the
+    heading, whose sum over thousands of readings is information out of noise. Else see `turn_tilts`. K: (n, a) receives
+    the gain, turn: (1,) the heading's correction. T: (2a, n) work.
     """
     n, a = K.shape
     # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
@@ -784,7 +784,7 @@ def places(dims):
     inverse = K + n * a
     res = inverse + a * a
     turn = res + a
-    S = turn + 4
+    S = turn + 6
     PH = S + 2 * a * a
     near = PH + a * n
     verdict = near + a * (9 + dims[6])
@@ -924,6 +924,38 @@ def turn_velocity(P, nav, before, change):
 
 
 @njit(cache=True, **UNCOUNTED)
+def _reset_tilts(M, p, q):
+    """M <- G M G' for the rotation of the attitude by half a change of the tilts, to first order. M: symmetric."""
+    n = M.shape[0]
+    for j in range(n):
+        u, v, w = M[6, j], M[7, j], M[8, j]
+        M[6, j], M[7, j], M[8, j] = u + q * w, v - p * w, w + p * v - q * u
+    _follow(M, int(6), int(9))
+    for i in range(6, 9):
+        u, v, w = M[i, 6], M[i, 7], M[i, 8]
+        M[i, 6], M[i, 7], M[i, 8] = u + q * w, v - p * w, w + p * v - q * u
+    _same(M, int(6))
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def turn_tilts(P, K, res, change):
+    """After a reading where no velocity in the vehicle's axes has been used: the attitude's error left over is
+    expressed at the corrected tilts, too, by the first order of the Jacobian of `correct`.
+
+    Fixes tell tilts in north and east, by how the velocity changes. What is left of a tilt's error has a part about the
+    axis that the heading turns about; without it the tilt was surer of the heading than it could be. K (n, a), res
+    (a,): gain and residuals of the reading; change (2,) is written for the smoother.
+    """
+    north, east = 0.0, 0.0
+    for r in range(len(res)):
+        north += K[6, r] * res[r]
+        east += K[7, r] * res[r]
+    change[0], change[1] = north, east
+    _reset_tilts(P, 0.5 * north, 0.5 * east)
+
+
+@njit(cache=True, **UNCOUNTED)
 def _deviated(K, res, first):
     """What turning by one does to the change of a deviation: to sine and cosine of the heading, and of twice it."""
     return K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
@@ -1060,11 +1092,11 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     D + H' S^-1 H, then through the transitions lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the
     record before is -P lam with covariance P - P L P.
 
-    record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
-    (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row.
-    `start` is the ticked block's place, b its size (0: none); deviation: see `turn_deviation`, or less the place of a
-    current, see `turn_current`; 0: none. L (n, n) and lam (n,) change; T work, n columns and three times as many rows,
-    at least 3a.
+    record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a
+    x a), res (a), the turn of the heading, the change of velocity that turns with it (3) and that of the tilts (2, see
+    `turn_tilts`), each row by row. `start` is the ticked block's place, b its size (0: none); deviation: see
+    `turn_deviation`, or less the place of a current, see `turn_current`; 0: none. L (n, n) and lam (n,) change; T work,
+    n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -1075,6 +1107,11 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
         Sinv = shaped(record[at : at + a * a], a, a)
         res = record[at + a * a : at + a * a + a]
         half = 0.5 * record[at + a * a + a]
+        p, q = 0.5 * record[at + a * a + a + 4], 0.5 * record[at + a * a + a + 5]
+        if p != 0.0 or q != 0.0:
+            _reset_tilts(L, -p, -q)
+            u, v, w = lam[6], lam[7], lam[8]
+            lam[6], lam[7], lam[8] = u - q * w, v + p * w, w + q * u - p * v
         if deviation > 0:
             _turn_back(L, lam, _deviated(K[:, 0], res[0], deviation), deviation)
         x, y, z = record[at + a * a + a + 1], record[at + a * a + a + 2], record[at + a * a + a + 3]

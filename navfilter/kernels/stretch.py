@@ -233,7 +233,8 @@ def correction(sources):
             past.keep_constants(P, x, unit, unit_kept)
         kalman.update(P, nav, x, C, R, mem, dims, limits)
         change = mem[places[4] + 1 : places[5]]
-        change[0], change[1], change[2] = 0.0, 0.0, 0.0
+        for i in range(5):
+            change[i] = 0.0
         if mem[places[8] + 2] != 0.0:
             if moves:
                 drv[strapdown.OWN] = 2.0 if dims[7] < 0 else 1.0
@@ -241,6 +242,8 @@ def correction(sources):
                 kalman.turn_velocity(P, nav, velocity, change)
                 if dims[7] < 0:
                     kalman.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
+            elif drv[strapdown.INERTIAL] != 0.0 and drv[strapdown.OWN] == 0.0:
+                kalman.turn_tilts(P, shaped(mem[places[1] : places[2]], n, a), res, change[3:])
         if mem[places[8] + 2] != 0.0:
             K = shaped(mem[places[1] : places[2]], n, a)
             if has_arm:
