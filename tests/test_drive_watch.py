@@ -1,6 +1,7 @@
 """The watch over the axes of an inertial unit: what it finds in its samples, when, and what the filter makes of it."""
 
 import math
+from dataclasses import replace
 
 import naive
 import numpy as np
@@ -11,7 +12,8 @@ import navfilter as nf
 from navfilter.filter.drive_watch import CONDITIONS, DriveWatch
 from navfilter.kernels import drive_watch as kernel
 from navfilter.simulation.presets import mems_imu, tactical_imu
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import lawnmower, simulate_scenario
+from navfilter.simulation.simulate import simulate
 
 LEVEL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81])
 DEG = math.pi / 180.0
@@ -151,14 +153,56 @@ def test_a_single_sample_is_a_spike_and_no_condition():
     assert abs(w[2, kernel.SIZE] - 2.0) < 0.05
 
 
+COLOURED = {
+    "swing": nf.Arma(ar=(-1.2, 0.9), ma=(0.3,), sd=0.01),
+    "quick": nf.GaussMarkov(sd=0.02, tau_s=0.05),
+    "walk": nf.RandomWalk(density=0.01, start_sd=0.1),
+    "both": nf.GaussMarkov(sd=0.05, tau_s=10.0) + nf.Arma(ar=(-0.5,), sd=0.003) + nf.White(sd=0.002),
+}
+
+
+@pytest.mark.parametrize("name", COLOURED)
+def test_an_axis_without_white_noise_of_its_own_is_no_spike_at_each_sample(name):
+    """All of its noise is in error states: its samples differ as much all the same."""
+    drive = nf.Imu(rate_hz=50.0, gyro=COLOURED[name], accel=COLOURED[name])
+    vehicle = nf.Vehicle(drive, {"depth": nf.Depth(rate_hz=1.0, error=nf.White(sd=0.05))})
+    mission = simulate(vehicle, lawnmower(120.0), seed=1, duration_s=120.0)
+    nav = nf.Navigator(vehicle, mission.start)
+    values = mission.streams["imu"].value
+    # 6000 samples, coloured: their second differences are known to some percent; slow turns hardly add to them
+    measured = np.sqrt(np.mean(np.diff(values[:, :3], 2, axis=0) ** 2, axis=0) / 6.0)
+    np.testing.assert_allclose(nav.filter.drive_sd[:3], measured, rtol=0.08)
+    assert nf.replay(vehicle, mission).counts["spike"] == 0
+    values[3000, 1] += 40.0 * measured[1]
+    spiked = replace(mission, streams={**mission.streams, "imu": replace(mission.streams["imu"], value=values)})
+    assert nf.replay(vehicle, spiked).counts["spike"] == 1
+
+
+def test_of_what_nothing_is_described_the_samples_say_what_is_usual():
+    drive = tactical_imu()
+    samples = quiet(drive, 30.0)
+    samples[2000, 3] += 2.0
+    watch, w = DriveWatch(drive), DriveWatch(drive).fresh()
+    watch.refer(w, nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack(), np.zeros((9, 9)))
+    at = 0
+    while at < len(samples):
+        at += watch.look(samples[at:], w, np.zeros(6))
+        w[kernel.UNIT, kernel.TICK] = 0.0
+    sd = np.sqrt([model.block(drive.period_s).r for model in drive.models])
+    # half a second of noise is known to a fifth; the spike is some hundred times as large, and counts as four
+    assert w[:6, kernel.SPIKES].tolist() == [0, 0, 1, 0, 0, 0]
+    np.testing.assert_allclose(np.sqrt(w[:6, kernel.USUAL] / 6.0), sd, rtol=0.1)
+
+
+@pytest.mark.parametrize("described", [True, False])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("increments", [False, True])
-def test_the_kernel_and_its_twin(seed, increments):
+def test_the_kernel_and_its_twin(seed, increments, described):
     rng = np.random.default_rng(seed)
     drive = tactical_imu(increments=increments)
     w = DriveWatch(drive).fresh()
     DriveWatch(drive).refer(w, random_nav(rng), np.zeros((9, 9)))
-    twin, sd = w.copy(), np.sqrt([model.block(drive.period_s).r for model in drive.models])
+    twin, sd = w.copy(), np.sqrt([model.block(drive.period_s).r for model in drive.models]) * described
     samples = quiet(drive, 30.0, seed, 0.7 if seed % 2 else None)
     w[kernel.UNIT, kernel.REFERENCE : kernel.REFERENCE + 3] = twin[6, 5:8] = LEVEL[3:]
     samples[:, 0] += rng.uniform(-0.003, 0.003, len(samples))

@@ -59,7 +59,7 @@ class Filter(Estimate):
         Of its states.
     channels : dict of str to Channel
     drive_output, drive_sd : ndarray, shapes (6, states of the drive + 1) and (6,)
-        Rows of C of the drive's error models, and the white variance of a sample; its sd as described.
+        Rows of C of the drive's error models, and the white variance of a sample; see `DriveWatch.expected`.
     feels_after : int
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change

@@ -73,8 +73,8 @@ def look(samples, w, sd, limits, period_s, increments):
     accelerometer's force that of a vehicle at rest.
 
     samples (n, 7): seconds since the one before, six values; changed in place. sd (6,): of the white noise of one rate
-    (force) whose second differences would be as large as the vehicle's description says; limits (6,): where its range ends. Returns after how many samples
-    something has to be looked at (``w[6, NEWS]``), or n.
+    (force) whose second differences would be as large as the vehicle's description says; limits (6,): where its range
+    ends. Returns after how many samples something has to be looked at (``w[6, NEWS]``), or n.
     """
     unit, n = w[UNIT], 0
     unit[NEWS] = 0.0
