@@ -450,6 +450,7 @@ BEYOND = {
     ("tactical", "gps-thesis"): f"4.4: {TAIL}",
     ("mems", "gps-thesis"): f"5.5: {TAIL}",
     ("mems", "compass-white"): f"3.8: {TAIL}",
+    ("mems", "compass-mixed"): f"2.51: {TAIL}",
 }
 
 
