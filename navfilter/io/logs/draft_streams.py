@@ -90,7 +90,7 @@ def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[l
         known = ", ".join(f"{topic.name} ({READINGS[use.reading]})" for topic, use in uses) or "none of a known kind"
         raise MissionError(
             f"{found.path}: nothing in this log can drive; it takes turn rates with forces at {_SLOWEST_IMU_HZ:g} Hz or"
-            f" more, a heading, or fixes. Known topics: {known}. Map it by hand (docs/logs.md)."
+            f" more, a heading, or fixes. Known topics: {known}. Map it by hand (docs/pages/logs.md)."
         )
     level = _as_attitude(_stream("attitude", *attitude))
     velocity = _first(uses, _VELOCITIES)
