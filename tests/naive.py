@@ -1527,10 +1527,10 @@ def _look_at_axis(a, unit, raw, x, sd, limit, dt, gap, period_s, per):
         lonely = off**2 > 24.0 * level > 0.0 and abs(x - a[8]) < 0.5 * abs(off)
         if lonely and seen * period_s > 10.0 and a[0] == 0:
             a[14], a[15], unit[1] = a[14] + 1, off, 1.0
-        square = min(4.0 * off**2, 16.0 * level or np.inf)
+        square = min(4.0 * off**2, 16.0 * level)
         a[10] += (square - a[10]) * min(1.0, max(period_s / 0.5, 1.0 / seen))
         if a[4] < 3 and a[0] <= 1:
-            bound = 16.0 * max(a[11], white) or np.inf if seen * period_s > 10.0 else np.inf
+            bound = 16.0 * max(a[11], white) if seen * period_s > 10.0 else np.inf
             a[11] += (min(square, bound) - a[11]) * max(period_s / 600.0, 1.0 / seen if a[0] == 0 else 0.0)
     a[12] = seen = seen + 1
     a[7], a[8] = x, x if gap else a[7]

@@ -156,8 +156,8 @@ def test_a_single_sample_is_a_spike_and_no_condition():
 COLOURED = {
     "swing": nf.Arma(ar=(-1.2, 0.9), ma=(0.3,), sd=0.01),
     "quick": nf.GaussMarkov(sd=0.02, tau_s=0.05),
-    "walk": nf.RandomWalk(density=0.01, start_sd=0.1),
-    "both": nf.GaussMarkov(sd=0.05, tau_s=10.0) + nf.Arma(ar=(-0.5,), sd=0.003) + nf.White(sd=0.002),
+    "walk": nf.RandomWalk(density=1e-7, start_sd=1e-5) + nf.Arma(ar=(-0.9,), sd=0.01),
+    "both": nf.GaussMarkov(sd=0.005, tau_s=10.0) + nf.Arma(ar=(-0.5,), sd=0.003) + nf.White(sd=0.002),
 }
 
 
@@ -178,9 +178,20 @@ def test_an_axis_without_white_noise_of_its_own_is_no_spike_at_each_sample(name)
     assert nf.replay(vehicle, spiked).counts["spike"] == 1
 
 
-def test_of_what_nothing_is_described_the_samples_say_what_is_usual():
+@pytest.mark.parametrize("slow", [nf.RandomWalk(density=1e-7, start_sd=1e-5), nf.GaussMarkov(sd=1e-5, tau_s=600.0)])
+def test_of_slow_errors_alone_nothing_is_expected(slow):
+    """How the vehicle moves is more than they change from one sample to the next."""
+    vehicle = nf.Vehicle(nf.Imu(rate_hz=50.0, gyro=slow, accel=slow), {"depth": nf.Depth(error=nf.White(sd=0.05))})
+    mission = simulate(vehicle, lawnmower(240.0), seed=1, duration_s=240.0)
+    track = nf.replay(vehicle, mission)
+    assert not np.array([track.counts[name] for name in ("spike", "noisy", "erratic", "wrong-unit")]).any()
+
+
+def test_of_a_unit_without_any_error_described_noise_and_spikes_are_not_judged():
+    """A simulation without errors: what differs from one sample to the next is how the vehicle moves."""
     drive = tactical_imu()
     samples = quiet(drive, 30.0)
+    samples[:1200, 1:] = LEVEL
     samples[2000, 3] += 2.0
     watch, w = DriveWatch(drive), DriveWatch(drive).fresh()
     watch.refer(w, nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack(), np.zeros((9, 9)))
@@ -188,10 +199,7 @@ def test_of_what_nothing_is_described_the_samples_say_what_is_usual():
     while at < len(samples):
         at += watch.look(samples[at:], w, np.zeros(6))
         w[kernel.UNIT, kernel.TICK] = 0.0
-    sd = np.sqrt([model.block(drive.period_s).r for model in drive.models])
-    # half a second of noise is known to a fifth; the spike is some hundred times as large, and counts as four
-    assert w[:6, kernel.SPIKES].tolist() == [0, 0, 1, 0, 0, 0]
-    np.testing.assert_allclose(np.sqrt(w[:6, kernel.USUAL] / 6.0), sd, rtol=0.1)
+    assert not w[:6, [kernel.SPIKES, kernel.CODE]].any()
 
 
 @pytest.mark.parametrize("described", [True, False])
@@ -227,7 +235,7 @@ def test_the_kernel_and_its_twin(seed, increments, described):
             a[kernel.UNIT, kernel.TICK] *= a[kernel.UNIT, kernel.TICK] * drive.period_s < kernel.JUDGED_S
         conditions |= set(w[:6, kernel.CODE].tolist())
     np.testing.assert_allclose(ours, twins, rtol=0, atol=1e-12)
-    assert len(conditions) > 3
+    assert len(conditions) > (3 if described else 2)
 
 
 def faulty(mission, change, begin_s, end_s):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.error_models import ErrorModel, Sum
 from navfilter.filter import turns
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
@@ -21,7 +22,6 @@ from navfilter.kernels import strapdown
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.layout import Group
     from navfilter.filter.tape import Tape
     from navfilter.mechanisation import Mechanisation
 
@@ -41,6 +41,11 @@ COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
 UNSEEN_S = 1.0
 #: What contradicts compass and DVL is found so late at most [s]: all windows of `navfilter.filter.jumps`.
 FOUND_S = 2.0
+#: The square of a second difference of white noise is so many times its variance [1].
+WHITE = 6.0
+#: An error is quick whose second differences are larger than this share of its variance [1]: of one with a correlation
+#: time of two hundred samples they are less.
+QUICK = 0.02
 #: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
 TURN_S = 3.0
 #: A reading at the end of the range, short of it by rounding.
@@ -67,17 +72,21 @@ class DriveWatch:
         per = self._period_s if self._increments else 1.0
         self.limits = RANGE_END * drive.limits() / per
 
-    @staticmethod
-    def expected(of: Group) -> Array:
-        """By how much samples are to differ from one to the next, with these states: standard deviation of the white
-        noise whose second differences are as large as those of all errors of an axis, which may be no white noise.
+    def expected(self, drive: Mechanisation, white: Array) -> Array:
+        """By how much samples are to differ from one to the next: standard deviation of the white noise whose second
+        differences are as large as those of an axis' errors. Quick ones may be no white noise of their own; of slow
+        ones alone nothing is expected, for how the vehicle moves is more.
+
+        Parameters
+        ----------
+        drive : Mechanisation
+            With the error models in force.
+        white : ndarray, shape (6,)
+            White variance of a sample.
         """
-        e = of.errors
-        C, Phi, Q, P0 = of.C, of.Phi[:e, :e], of.Q[:e, :e], of.P0[:e, :e]
-        # x(k) - 2 x(k-1) + x(k-2), by what stands at k-2 and what has come since
-        last, new = C @ (Phi @ Phi - 2.0 * Phi + np.eye(e)), C @ (Phi - 2.0 * np.eye(e))
-        coloured = (np.diag(A @ V @ A.T) for A, V in ((last, P0), (new, Q), (C, Q)))
-        return np.asarray(np.sqrt(of.r + sum(coloured) / 6.0))
+        if not self.active:
+            return np.sqrt(white)
+        return np.sqrt(white + np.array([_quick(model, self._period_s) for model in drive.models]) / WHITE)
 
     def fresh(self) -> Array:
         """What it remembers before the first sample."""
@@ -258,3 +267,18 @@ class DriveWatch:
         if not (self.active and self._feels):
             return {}
         return {name: CONDITIONS[int(w[i, kernel.CODE])] for i, name in enumerate(self.axes)}
+
+
+def _quick(model: ErrorModel, period_s: float) -> float:
+    """Variance of the second differences of the quick coloured errors among the parts of a model."""
+    total = 0.0
+    for part in model.parts if isinstance(model, Sum) else (model,):
+        b = part.block(period_s)
+        if not b.size:
+            continue
+        # x(k) - 2 x(k-1) + x(k-2), by what stands at k-2 and what has come since
+        last, new = b.C @ (b.Phi @ b.Phi - 2.0 * b.Phi + np.eye(b.size)), b.C @ (b.Phi - 2.0 * np.eye(b.size))
+        square = float(last @ b.P0 @ last + new @ b.Q @ new + b.C @ b.Q @ b.C)
+        if square > QUICK * float(b.C @ b.P0 @ b.C):
+            total += square
+    return total

@@ -157,7 +157,7 @@ class Filter(Estimate):
         if self.inertial and (self._like is None or self._like[1].drive is not g):
             self.gyros = shifts.gyros(g, self.period_s)
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
-        self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, self.watch.expected(g)
+        self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, self.watch.expected(in_force.drive, g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0, 0])
         variance = self.vehicle.drive.rate_variance(g.Q, g.C, g.r)

@@ -122,14 +122,14 @@ def _look_at_ordinary(samples, n, w, sd, limits, period_s, increments):
         off = last - times(all_of(0.5), x + before)
         square, level = times(off, off), if_below(noise, white, white, noise)
         lonely = if_below(times(all_of(0.99 * SPIKE * SPIKE / 6.0), level), square, magnitude(x - before), nothing_less)
+        lonely = if_below(none, level, lonely, nothing_less)
         now_square = times(all_of(4.0), square)
-        bound = if_below(none, level, times(all_of(CLIP), level), nothing_less)
+        bound = times(all_of(CLIP), level)
         now_square = if_below(bound, now_square, bound, now_square)
         gain = if_below(quick, part, part, quick)
         gain = if_below(one, gain, one, gain)
         now_noise = noise + times(now_square - noise, gain)
-        level = if_below(usual, white, white, usual)
-        bound = if_below(none, level, times(all_of(CLIP), level), nothing_less)
+        bound = times(all_of(CLIP), if_below(usual, white, white, usual))
         now_square = if_below(bound, now_square, bound, now_square)
         gain = if_below(slow, part, part, slow)
         now_usual = if_below(ran, all_of(3.0), usual + times(now_square - usual, gain), usual)
@@ -190,7 +190,7 @@ def _look_at_axes(sample, w, sd, limits, period_s, increments):
             a[REPEATS] -= a[REPEATS] * REPEATED
             a[RAW] = raw
         # -- second differences: what no motion has, and a single sample that neither neighbour confirms
-        level = max(a[NOISE], white)
+        level = max(a[NOISE], white)  # 0 where no error at all is described: then nothing is judged by it
         if a[SEEN] >= 2.0 and not gap:
             off = a[LAST] - 0.5 * (x + a[BEFORE])
             lonely = off * off > SPIKE * SPIKE * level / 6.0 > 0.0 and abs(x - a[BEFORE]) < 0.5 * abs(off)
@@ -198,12 +198,11 @@ def _look_at_axes(sample, w, sd, limits, period_s, increments):
                 a[SPIKES] += 1.0
                 a[SIZE] = off
                 unit[NEWS] = 1.0
-            square = min(4.0 * off * off, CLIP * level if level > 0.0 else math.inf)
+            square = min(4.0 * off * off, CLIP * level)
             a[NOISE] += (square - a[NOISE]) * min(1.0, max(period_s / NOISE_S, 1.0 / a[SEEN]))
             if a[RUN] < 3.0 and a[CODE] <= NOISY:
                 if a[SEEN] * period_s > KNOWN_S:
-                    level = max(a[USUAL], white)
-                    square = min(square, CLIP * level if level > 0.0 else math.inf)
+                    square = min(square, CLIP * max(a[USUAL], white))
                 a[USUAL] += (square - a[USUAL]) * max(period_s / USUAL_S, 1.0 / a[SEEN] if a[CODE] == GOOD else 0.0)
         a[SEEN] += 1.0
         a[BEFORE] = x if gap else a[LAST]
