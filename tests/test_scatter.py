@@ -10,6 +10,7 @@ from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter import passage
+from navfilter.filter import slack
 from navfilter.filter.memory import copied, differences
 from navfilter.filter.scatter import Scatter
 from navfilter.kernels import scatter
@@ -136,6 +137,7 @@ def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, no
         own, twin = kept.copy(), kept.copy()
         by_kernel, by_twin = scatter.heard(own, facts.copy(), *of), naive.heard(twin, facts.copy(), *of)
         assert by_kernel == pytest.approx(by_twin, rel=1e-9)
+        # sums in another order, of differences of squares that leave a thousandth of them
         np.testing.assert_allclose(own, twin, rtol=1e-9, atol=1e-12)
         kept = own
         ends += kept[scatter.TIME_S] == -math.inf
@@ -144,6 +146,15 @@ def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, no
         variance = np.where(rng.random() > 0.5, np.nan, rng.uniform(1.0, 2.0, axes))
         assert_close(*(args[1] for args in run_both(scatter.widen, kept, facts, variance, axes)))
     assert added > 20 and (worthless > 5 or north >= 0) and ends > 0
+
+
+@pytest.mark.parametrize(("sensor", "kind"), [(nf.Heading(), 0), (nf.BodyVelocity(), 1), (nf.Depth(), 2)])
+def test_what_drive_may_have_added_is_what_refused_readings_are_judged_by(sensor, kind):
+    """The same stands in the kernel, whose twin this is, and in Python for readings that are refused together."""
+    rng = np.random.default_rng(3)
+    P, Cr = spd(rng, 14), rng.normal(size=(6, 5)) ** 2
+    once = slack.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
+    assert once == pytest.approx(naive.may_have_gone(kind, P, 1.5, 0.4, Cr, 0.02), rel=1e-12)
 
 
 @pytest.mark.parametrize("count", [7, 8, 30, 48])

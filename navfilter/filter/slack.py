@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.sensors import Sensor
 
-__all__ = ["are_carried", "reckoned", "walked", "wander"]
+__all__ = ["are_carried", "reckoned", "wander"]
 
 Array = NDArray[np.float64]
 #: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
@@ -36,16 +36,16 @@ def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
 
 
 def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
-    """Variance by which dead reckoning may err in a time, in the units of a sensor."""
+    """Variance by which dead reckoning may err in a time, in the units of a sensor; `kernels.scatter` has it, too."""
     if sensor.north is not None:
         return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
     if sensor.open_loop == listen.VELOCITY:
         tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
-        return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + walked(dt, drive_output, period_s)
+        return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + _walked(dt, drive_output, period_s)
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
 
 
-def walked(dt: float, drive_output: Array, period_s: float) -> float:
+def _walked(dt: float, drive_output: Array, period_s: float) -> float:
     """Variance by which the noise of accelerometers does [m^2/s^2]."""
     return float(drive_output[3:, -1].max() * period_s * dt)
 
