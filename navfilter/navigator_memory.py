@@ -6,8 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
+from navfilter.filter.aside import Aside
 from navfilter.filter.bursts import BurstsMemory
-from navfilter.filter.channel import Aside, ChannelMemory, Course, Reckoned, Refusals, RefusedWay, Scatter, Turns
+from navfilter.filter.channel_memory import ChannelMemory
+from navfilter.filter.course import Course
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.health import Watch
@@ -15,7 +17,12 @@ from navfilter.filter.history import Reading
 from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.lane_choice import ChoiceMemory
 from navfilter.filter.memory import misfit
+from navfilter.filter.reckoned import Reckoned
+from navfilter.filter.refusals import Refusals
+from navfilter.filter.refused_way import RefusedWay
+from navfilter.filter.scatter import Scatter
 from navfilter.filter.sensor_clock import Ahead
+from navfilter.filter.turns import Turns
 from navfilter.learning.conflict import Stretches
 from navfilter.learning.kept import Kept, Rows
 from navfilter.learning.learner_memory import LearnerMemory

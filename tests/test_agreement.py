@@ -11,7 +11,6 @@ from feeding import once_a_second
 
 import navfilter as nf
 from navfilter.filter import agreement, refusals, refused
-from navfilter.filter.channel import Refusals
 from navfilter.filter.memory import differences
 from navfilter.filter.offsets import (
     Offset,
@@ -21,6 +20,7 @@ from navfilter.filter.offsets import (
     with_offsets,
     with_the_same_offsets,
 )
+from navfilter.filter.refusals import Refusals
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
 from navfilter.filter import shifts
-from navfilter.filter.channel import ChannelMemory
+from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.drive_watch import CONDITIONS
 from navfilter.filter.drive_watch import COUNTED as DRIVE_COUNTED
 from navfilter.filter.intake import IntakeMemory

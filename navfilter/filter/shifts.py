@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel import UNDISPUTED_S, Channel
+from navfilter.filter.channel import Channel
+from navfilter.filter.channel_memory import UNDISPUTED_S
 from navfilter.kernels import shifts as kernel
 from navfilter.kernels import stretch
 from navfilter.kernels.shifts import (

@@ -21,7 +21,8 @@ from navfilter.filter.slack import wander
 from navfilter.kernels import drive_watch as kernel
 
 if TYPE_CHECKING:
-    from navfilter.filter.channel import Channel, ChannelMemory
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.channel_memory import ChannelMemory
     from navfilter.filter.filter import Filter
 
 __all__ = ["Turns", "agrees", "contradicted", "look", "refused"]
