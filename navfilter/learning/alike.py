@@ -21,10 +21,11 @@ from navfilter.learning.slow import SlowPrior
 __all__ = ["APART", "alike"]
 
 Array = NDArray[np.float64]
-#: How far the slow errors of such axes are from their centre, in ln sd and in ln tau: a factor of two.
+#: How far the slow errors of such axes are from their centre, in ln sd and in ln tau: a factor of two, but no farther
+#: than the centre is from the prior's.
 APART = math.log(2.0)
-#: Centres reach so far about the prior's [its sd], `APART` from one to the next: of densities so wide the sum is the
-#: integral to 1e-8.
+#: Centres reach so far about the prior's [its sd], and are from one to the next as far as axes are apart: of densities
+#: so wide the sum is the integral to 1e-8.
 REACH = 3.5
 #: No node is less probable than this beside a centre.
 LEAST_DENSITY = 1e-30
@@ -57,12 +58,18 @@ def alike(axes: Sequence[tuple[SlowPosterior, SlowPrior]]) -> list[SlowPosterior
     return out
 
 
+def _apart(spread: float) -> float:
+    """How far axes are from their centre, of which and of them together this is the prior's spread."""
+    return min(APART, spread / math.sqrt(2.0))
+
+
 @lru_cache(maxsize=16)
 def _centres(spread: float) -> tuple[Array, Array]:
     """A grid of centres, as far as they are from the prior's, and what is believed of them, with the sum one."""
-    common = math.sqrt(max(spread**2 - APART**2, 0.25 * APART**2))
-    steps = math.ceil(REACH * common / APART)
-    centres = np.arange(-steps, steps + 1) * APART
+    apart = _apart(spread)
+    common = math.sqrt(spread**2 - apart**2)
+    steps = math.ceil(REACH * common / apart)
+    centres = np.arange(-steps, steps + 1) * apart
     belief: Array = np.exp(-0.5 * (centres / common) ** 2)
     return np.asarray(centres, dtype=np.float64), np.asarray(belief / belief.sum())
 
@@ -70,8 +77,9 @@ def _centres(spread: float) -> tuple[Array, Array]:
 def _densities(posterior: SlowPosterior, prior: SlowPrior) -> tuple[Array, Array]:
     """Density of each node given the centre over that given the prior: in ln sd (n, m), and in ln tau (n, k)."""
     (log_sd, by), (log_tau, by_time), nodes = _centres(prior.spread), _centres(prior.tau_spread), np.log(prior.taus_s)
-    by_sd = np.exp(-0.5 * ((posterior.log_sd[:, None] - prior.centre[0] - log_sd) / APART) ** 2)
-    by_tau = np.exp(-0.5 * ((nodes[:, None] - prior.centre[1] - log_tau) / APART) ** 2)
+    apart, apart_tau = _apart(prior.spread), _apart(prior.tau_spread)
+    by_sd = np.exp(-0.5 * ((posterior.log_sd[:, None] - prior.centre[0] - log_sd) / apart) ** 2)
+    by_tau = np.exp(-0.5 * ((nodes[:, None] - prior.centre[1] - log_tau) / apart_tau) ** 2)
     # times have limits: of a centre beyond them all the probability is between them, too
     by_tau /= np.maximum(by_tau.sum(axis=0), LEAST_DENSITY)
     by_tau = by_tau[np.argmin(np.abs(np.log(posterior.tau_s)[:, None] - nodes), axis=1)]

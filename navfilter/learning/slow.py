@@ -55,9 +55,10 @@ class SlowPrior:
     Attributes
     ----------
     median : float
-        A vehicle file states the whole of an error: its slow part is about half of that.
+        A vehicle file states the whole of an error: the mean of the slow part's variance is what is stated. So a
+        lognormal has its median at `exp(-spread^2)`, 0.62.
     spread : float
-        Standard deviation of ln sd: a data sheet is believed within a factor of e.
+        Standard deviation of ln sd: a data sheet is believed within a factor of two.
     tau_spread : float
         Standard deviation of ln tau: time constants are hardly believed, within a factor of seven.
     second_order : float
@@ -71,8 +72,8 @@ class SlowPrior:
     span_s: float
     white: float = 0.0
     is_hidden: bool = False
-    median: float = 0.5
-    spread: float = 1.0
+    median: float = 2.0 ** -math.log(2.0)
+    spread: float = math.log(2.0)
     tau_spread: float = 2.0
     second_order: float = 0.3
     absent: float = 0.2
