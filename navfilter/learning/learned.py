@@ -48,7 +48,7 @@ LONGEST_SPAN_S = 500.0
 #: Colour is described as quick if its correlation time is shorter than this part of the window's span [1], see
 #: `navfilter.learning.quick`.
 QUICKER = 200.0
-#: A description is believed within this factor at best [1]: below, the axes of one instrument differ by more.
+#: A description is believed within this factor at best [1]: the axes of one instrument differ by as much.
 LEAST_FACTOR = 1.1
 
 
@@ -64,7 +64,7 @@ class LearnedArma(ErrorModel):
     prior : ErrorModel, optional
         What is believed beforehand, and in force until the first model has been learnt, beside as much white noise as
         what is slow in it is large: it may be quick. The slow part's standard deviation is believed within a factor of
-        e, its time constant hardly (`navfilter.learning.slow.SlowPrior`); white noise alone excludes slow errors, as
+        two, its time constant hardly (`navfilter.learning.slow.SlowPrior`); white noise alone excludes slow errors, as
         long as the readings are white. Default: that of the sensor's kind.
     orders : sequence of (p, q)
         Candidates of the fast part.
@@ -84,8 +84,8 @@ class LearnedArma(ErrorModel):
         Factors within which the standard deviation and the correlation time of `prior` are believed, one standard
         deviation of their logarithms; the slow part is then as large and as slow as described. For a sensor whose slow
         error is known: a drift hides it, and what is not known of it is carried as an error that may last. Default: a
-        data sheet, which states the whole of an error; its slow part is believed to be half as large and twice as
-        slow, within (2.7, 7.4).
+        data sheet, which states the whole of an error; its slow part is believed to be 0.62 times as large, so that
+        the mean of its variance is what is stated, and twice as slow, within (2, 7.4).
 
     Raises
     ------
