@@ -445,12 +445,12 @@ def identified(scenario, gyro, seeds):
 ROUGH = "its slow error begins smoothly; a Gauss-Markov process does not, which no white noise hides"
 TAIL = "what the readings cannot exclude stays, and the mean of the posterior is ruled by its longest times"
 BEYOND = {
-    ("tactical", "compass-swell"): f"0.23: {ROUGH}",
-    ("mems", "compass-swell"): f"0.14: {ROUGH}",
-    ("tactical", "gps-thesis"): f"4.4: {TAIL}",
-    ("mems", "gps-thesis"): f"5.5: {TAIL}",
-    ("mems", "compass-white"): f"3.8: {TAIL}",
-    ("mems", "compass-mixed"): f"2.51: {TAIL}",
+    ("tactical", "compass-swell"): f"0.27: {ROUGH}",
+    ("mems", "compass-swell"): f"0.15: {ROUGH}",
+    ("tactical", "gps-thesis"): f"4.3: {TAIL}",
+    ("mems", "gps-thesis"): f"5.7: {TAIL}",
+    ("mems", "compass-white"): f"10: {TAIL}",
+    ("mems", "compass-thesis"): f"2.58: {TAIL}",
 }
 
 
