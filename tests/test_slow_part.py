@@ -401,6 +401,11 @@ def spread(mass, values):
     return math.sqrt(float(mass @ log**2) - float(mass @ log) ** 2)
 
 
+def test_on_average_a_slow_error_is_as_large_as_the_file_says_of_the_whole():
+    """Of a lognormal the mean of sd^2 is `median^2 exp(2 spread^2)`."""
+    assert PRIOR.median**2 * math.exp(2.0 * PRIOR.spread**2) == pytest.approx(1.0, rel=1e-12)
+
+
 def test_without_evidence_the_posterior_is_the_prior(fitted):
     likelihood, point = fitted
     kind, tau, mass, square = follow(likelihood, point.theta, 0, {}, likelihood.y.size, 0.0).moments.T
