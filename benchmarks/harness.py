@@ -81,6 +81,8 @@ def main(about: str, commands: Mapping[Callable[[Options], Any], Sequence[Flag]]
     figures = options.run(options)
     if options.json:
         write_json(options, figures)
+    if getattr(options, "failed", False):
+        sys.exit(1)
     return figures
 
 
