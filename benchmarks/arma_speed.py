@@ -14,7 +14,7 @@ import numpy as np
 from harness import Array, Options, Table, in_turn, ratio
 
 import navfilter as nf
-from navfilter.kernels import arma as kernel
+from navfilter.kernels import recursive_arma as kernel
 
 ORDERS = [(1, 1), (3, 3), (6, 6), (10, 10)]
 

@@ -48,20 +48,20 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 import navfilter as nf
+from navfilter.evaluation.baselines import learnable, rivals
 from navfilter.evaluation.comparison import compare
-from navfilter.evaluation.rivals import learnable, rivals
-from navfilter.learning.learned import LearnedArma
-from navfilter.learning.refit import refitted
-from navfilter.mission import Mission, Stream
-from navfilter.playback import replay, residual_series
+from navfilter.learning.batch import refitted
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay, residual_series
 from navfilter.simulation.earth import frame_rates, gravity
 from navfilter.simulation.faults import draw_error
 from navfilter.simulation.presets import tactical_imu
-from navfilter.track import Track
-from navfilter.vehicle import Vehicle
+from navfilter.track.track import Track
 
 MODELS = ("white", "gm1", "gm1-fitted", "vehicle", "arma")
-#: Rows of the table that `navfilter.evaluation.rivals` does not know.
+#: Rows of the table that `navfilter.evaluation.baselines` does not know.
 HURRIED, FITTED = "arma-hurried", "arma-fitted"
 BASELINE = "gm1-fitted"
 #: Correcting sensors that are real and not withheld: only their error models differ.

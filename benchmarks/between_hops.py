@@ -26,10 +26,10 @@ from harness import DEG, Array, Options, Table, flag, main, quick
 from heading_toy import GYROS, RATE_HZ, noises, scaled
 
 import navfilter as nf
-from navfilter.learning.drift import Drift
+from navfilter.learning.initial_values import cold_starts, with_slow_parts
 from navfilter.learning.likelihood import Likelihood, Point, maximise
-from navfilter.learning.slow import slow_prior
-from navfilter.learning.starts import cold_starts, with_slow_parts
+from navfilter.learning.slow_prior import slow_prior
+from navfilter.models.navigation_drift import Drift
 
 WINDOW, HOP, HOPS = 4000, 2000, 4
 #: Samples between two steps of the recursion: an eighth of a second's worth would cost eight times as much and moves

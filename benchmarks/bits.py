@@ -1,7 +1,7 @@
 """Hashes of some thirty runs, to show that a change of the code has changed no number.
 
-Every run is made twice the same from a seed: replays (with and without learning, smoothed, iterated, with lanes, by dead
-reckoning, with beams, USBL, clocks as states, a sensor of a user's own), live loops with late readings, faults,
+Every run is made twice the same from a seed: replays (with and without learning, smoothed, iterated, with lanes, by
+dead reckoning, with beams, USBL, clocks as states, a sensor of a user's own), live loops with late readings, faults,
 snapshots in the middle, a log of JSON lines. What is hashed is every value of what comes out, in their order; of
 snapshots the values without the names and the format's number. So names of classes and files may change, numbers may
 not.
@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import DEG, MAPPINGS, ROOT, Options, data_root, flag, hour, main, quick
+from harness import MAPPINGS, ROOT, Options, data_root, flag, hour, main, quick
 
 sys.path.insert(0, str(ROOT / "tests"))
 import faults_outcomes as faults
@@ -38,7 +38,7 @@ import navfilter as nf
 from navfilter.simulation.scenarios import simulate_scenario
 
 #: What differs from run to run, or belongs to the description and not to the run.
-LEFT_OUT = {"cpu_s", "vehicle", "version", "compile_s"}
+LEFT_OUT = {"cpu_s", "waited_s", "vehicle"}
 #: One minute of the first fault in `faults_outcomes`, on a vehicle: which rules they go through is the point.
 FAULTS = (
     ("tactical", "compass turned by 180 deg for good"),
@@ -312,7 +312,12 @@ if __name__ == "__main__":
         {
             bits: [
                 quick("minutes in place of quarters of an hour"),
-                flag("--against", type=Path, metavar="JSON", help="compare with these hashes; exit code 1 where any differ"),
+                flag(
+                    "--against",
+                    type=Path,
+                    metavar="JSON",
+                    help="compare with these hashes; exit code 1 where any differ",
+                ),
                 flag("--only", default="", help="runs whose name holds this"),
                 flag("--recordings", action="store_true", help="recordings, too (NAVFILTER_DATA)"),
                 flag("--library", default="", metavar="VEHICLES", help="all faults of these vehicles, too"),

@@ -17,9 +17,9 @@ import numpy as np
 from harness import DEG, Options, Table
 
 import navfilter as nf
-from navfilter.cli import main as command
+from navfilter.commands.cli import main as command
 from navfilter.io import write_vehicle
-from navfilter.mission import Stream
+from navfilter.models.mission import Stream
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion

@@ -26,8 +26,8 @@ from harness import MAPPINGS, Array, recorded
 from scipy.signal import butter, csd, filtfilt, welch
 
 from navfilter.io import read_mission, read_vehicle
-from navfilter.mission import Mission
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission
+from navfilter.models.vehicle import Vehicle
 
 TRIALS = ("00", "02", "08", "10")
 #: Errors for a smoother of two passes: section, key and value in vehicle.toml. See `finer`.

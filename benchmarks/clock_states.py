@@ -13,8 +13,8 @@ from dataclasses import replace
 import car_clocks as car
 from harness import MAPPINGS
 
-from navfilter.mission import Mission
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission
+from navfilter.models.vehicle import Vehicle
 
 #: By how much the DVL of each dive is ahead of the truth, as the README of the recordings has it [s].
 SNAPIR = {"01": 1.45, "02": 1.55, "03": 1.5, "05": 0.55, "06": 0.65, "07": 1.5, "08": 1.4, "10": 1.5, "12": 0.6}

@@ -20,10 +20,10 @@ from harness import DEG, Array, Options, Table, flag, main, peak_mb, quick
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter.mapped import give_back
+from navfilter.foundation.mapped_arrays import give_back
+from navfilter.models.state import NavState
 from navfilter.simulation.manoeuvres import Straight, Turn
 from navfilter.simulation.motion import Motion
-from navfilter.state import NavState
 
 RATE_HZ = 100
 LAP = (Straight(duration_s=30.0), Turn(180.0), Straight(duration_s=30.0), Turn(180.0))

@@ -10,8 +10,8 @@ from harness import Array
 from numpy.typing import NDArray
 
 from navfilter.io.geodesy import matrix_from_euler
-from navfilter.mission import Mission, Stream
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.vehicle import Vehicle
 
 EARTH_RADIUS_M = 6.371e6
 

@@ -16,8 +16,8 @@ from faults_outcomes import BOAT, VEHICLES
 from harness import MAPPINGS, Options, Table, recorded
 
 import navfilter as nf
-from navfilter.alignment import align
-from navfilter.filter import refused
+from navfilter.faults import policy
+from navfilter.navigation.alignment import align
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
@@ -32,9 +32,9 @@ COLUMNS = f"mission<34 runs>4d {' '.join(f'{key}>7d' for key in COUNTED)} rms_m>
 def without_agreement() -> Iterator[None]:
     """Readings are judged one by one, by their gates alone."""
     with (
-        mock.patch.object(refused, "_agreed", lambda *_: False),
-        mock.patch("navfilter.filter.channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
-        mock.patch("navfilter.filter.channel.Channel.moved_on", lambda *_: False),
+        mock.patch.object(policy, "_agreed", lambda *_: False),
+        mock.patch("navfilter.filter.sensor_channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
+        mock.patch("navfilter.filter.sensor_channel.Channel.moved_on", lambda *_: False),
     ):
         yield
 

@@ -24,8 +24,8 @@ from honest_random import Case
 from random_vehicles import Random, between, chance
 
 import navfilter as nf
-from navfilter.filter.health import CALM
-from navfilter.mission import Mission, Stream
+from navfilter.faults.sensor_monitor import CALM
+from navfilter.models.mission import Mission, Stream
 
 #: Scored from so long after the fault on [s].
 SETTLED_S = 120.0

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from live_run import Dive, run_session
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io.json_lines import Reading
 from navfilter.service import loop
 from navfilter.service.log import LOG_FILE, log_items

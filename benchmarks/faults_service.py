@@ -19,7 +19,7 @@ from live_run import Dive, Process
 
 import navfilter as nf
 from navfilter.io.json_lines import Reading
-from navfilter.playback import drive_samples
+from navfilter.playback.replay import drive_samples
 from navfilter.service.log import LOG_FILE, log_items
 
 EVERYTHING = "schedules of everything"

@@ -188,7 +188,7 @@ def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> N
     with tempfile.TemporaryDirectory() as folder:
         target = targets(Path(folder), [name])[0]
         for name, module in list(sys.modules.items()):
-            if name.startswith(("navfilter.io", "navfilter.filter.snapshot", "navfilter.service", "tomllib")):
+            if name.startswith(("navfilter.io", "navfilter.navigation.snapshot", "navfilter.service", "tomllib")):
                 instrument(module, name)
         corpus = Path(folder, "corpus")
         corpus.mkdir()

@@ -15,12 +15,12 @@ from typing import Any
 
 from fuzz_targets import Target, demand, refusing, sound
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.evaluation.montecarlo import workers
 from navfilter.io import VehicleError, write_vehicle
 from navfilter.io.logs.draft import draft
 from navfilter.io.logs.survey import survey, survey_text
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 from navfilter.report import report
 from navfilter.simulation.scenarios import simulate_scenario
 

@@ -24,7 +24,7 @@ from navfilter.io.calibrated_toml import write_calibrated
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Reading
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.vehicle_template import vehicle_template
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 from navfilter.service.protocol import Lines
 
 

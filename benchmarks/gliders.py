@@ -22,17 +22,17 @@ import numpy as np
 from dead_reckoning import EARTH_RADIUS_M
 from harness import DEG, Options, Table, data_root, flag, main, quick
 
-from navfilter.cycle import Cycle
-from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.foundation.utc import date_text
 from navfilter.io import read_mission
-from navfilter.magnetic import declination
-from navfilter.mechanisation import DeadReckoning
-from navfilter.mission import Mission, Stream
-from navfilter.playback import replay
-from navfilter.sensors import Depth, Heading, Position, WaterVelocity
-from navfilter.track import Track
-from navfilter.utc import date_text
-from navfilter.vehicle import Vehicle
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.magnetic import declination
+from navfilter.models.mechanisation import DeadReckoning
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.periodic_error import Cycle
+from navfilter.models.sensors import Depth, Heading, Position, WaterVelocity
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
+from navfilter.track.track import Track
 
 #: Above it waves and wind move the glider, and the pitch says nothing [m].
 DIVES_M = 1.5

@@ -23,7 +23,7 @@ import numpy as np
 from harness import DEG, Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.mission import Mission
+from navfilter.models.mission import Mission
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Manoeuvre, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander

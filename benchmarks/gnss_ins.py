@@ -29,7 +29,7 @@ from harness import DEG, Array, Options, Table, flag, main, quick, ratio
 import navfilter as nf
 from navfilter.io import write_vehicle
 from navfilter.kernels import strapdown
-from navfilter.mission import TRUTH_COLUMNS
+from navfilter.models.mission import TRUTH_COLUMNS
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Lawnmower, Straight, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.simulate import StartErrors, simulate
@@ -70,7 +70,7 @@ position = {{columns = [1, 2, 3], unit = ["deg", "deg", "m"]}}
 WHOLE = """\
 import sys
 import navfilter as nf
-from navfilter.outputs.formats import FORMATS, write_track
+from navfilter.io.tracks.formats import FORMATS, write_track
 folder, rate = sys.argv[1:]
 track = nf.replay(folder, folder, output_rate_hz=eval(rate))
 write_track(track, __import__("pathlib").Path(folder) / "track.csv", None)

@@ -33,7 +33,7 @@ from numba import njit
 from scipy.optimize import least_squares
 
 import navfilter as nf
-from navfilter.error_models import Arma
+from navfilter.models.error_models import Arma
 
 #: The innovations of the first samples tell of the start, not of the noise.
 SETTLED = 100

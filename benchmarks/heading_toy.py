@@ -130,9 +130,9 @@ def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
 
 def learner_hop(gyro: Gyro) -> Callable[[Array], Belief]:
     """Navfilter's learner without a prior, so that its model is one ARMA process, as that of the others."""
-    from navfilter.learning.drift import Drift
-    from navfilter.learning.learned import LearnedArma
-    from navfilter.learning.learner import Learner
+    from navfilter.learning.axis_learner import Learner
+    from navfilter.models.learned_arma import LearnedArma
+    from navfilter.models.navigation_drift import Drift
 
     learner = Learner(LearnedArma().orders, WINDOW, Drift(gyro.density, gyro.period_s, (math.inf, gyro.start_sd[1])))
     model: list[nf.ArmaModel] = []

@@ -21,7 +21,7 @@ from random_vehicles import Random, between, chance
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter.evaluation.rivals import rivals
+from navfilter.evaluation.baselines import rivals
 from navfilter.simulation.campaigns import GYROS, MOTIONS, stage
 
 BEGIN_S = 120.0

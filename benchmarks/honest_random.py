@@ -32,7 +32,7 @@ from random_reckoning import reckoning
 from random_vehicles import MOTIONS, between, chance, north, place, unit, velocity
 
 import navfilter as nf
-from navfilter.kernels import listen
+from navfilter.kernels import open_loop_residual
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
@@ -141,7 +141,7 @@ class Case:
         r, learnt = np.random.default_rng([number, 1]), {}
         for name, sensor in self.vehicle.sensors.items():
             # by the current, or never told apart from what the reading depends on
-            hidden = isinstance(sensor, nf.WaterVelocity) or sensor.open_loop == listen.NOTHING
+            hidden = isinstance(sensor, nf.WaterVelocity) or sensor.open_loop == open_loop_residual.NOTHING
             if isinstance(sensor.error, nf.ErrorModel) and not isinstance(sensor.error, nf.White) and not hidden:
                 sd = math.sqrt(sensor.mean_variance(0, 1)) * between(r, 0.5, 2.0)
                 slow = nf.GaussMarkov(sd=sd, tau_s=between(r, 10.0, 90.0)) + nf.White(sd=0.3 * sd)

@@ -16,11 +16,11 @@ import numpy as np
 from harness import DEG, Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.mission import Mission, Stream
+from navfilter.models.mission import Mission, Stream
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 #: What a reading becomes, by the name of the fault: its sensor; from seconds since the fault, readings, and those of
 #: `LATE` readings before.

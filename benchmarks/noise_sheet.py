@@ -15,7 +15,7 @@ from harness import ROOT, Options, Table, data_root, flag, main, quick
 sys.path.insert(0, str(ROOT / "tests"))
 from inertial_noise import noise
 
-from navfilter.constants import STANDARD_GRAVITY
+from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.identification.noise_sheet import AxisSheet, noise_sheet
 from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
 from navfilter.io.tables import TableOptions

@@ -18,13 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from harness import Array, Options, Table, data_root, flag, main, quick
 
-from navfilter.error_models import GaussMarkov, White
-from navfilter.mechanisation import DeadReckoning
-from navfilter.mission import Mission, Stream
-from navfilter.playback import replay
-from navfilter.sensors import Heading, Position, WaterVelocity
-from navfilter.start import Start
-from navfilter.vehicle import Vehicle
+from navfilter.models.error_models import GaussMarkov, White
+from navfilter.models.mechanisation import DeadReckoning
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.sensors import Heading, Position, WaterVelocity
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
 
 KNOT, DEG, EARTH_RADIUS_M = 1852.0 / 3600.0, math.pi / 180.0, 6.371e6
 KNOWN_S, EVERY_MIN = 1800.0, (2, 5, 10)

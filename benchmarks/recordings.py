@@ -22,10 +22,10 @@ from harness import MAPPINGS, Array, Options, Table, data_root, fixes_of, flag, 
 
 from navfilter.calibration.parts import constants_of, described
 from navfilter.calibration.passes import smoothed
-from navfilter.mission import Mission, Stream
-from navfilter.playback import replay
-from navfilter.track import Track
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
+from navfilter.track.track import Track
 
 
 @dataclass(frozen=True)

@@ -38,17 +38,17 @@ import numpy as np
 from harness import Array, Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import ErrorModel, block_level
-from navfilter.learning.drift import Drift
-from navfilter.learning.fit import fit_channel
-from navfilter.learning.listener import ChannelSeries
-from navfilter.learning.low_frequency import zero_frequency
-from navfilter.mission import Mission, Stream
-from navfilter.playback import residual_series
+from navfilter.learning.arma_fit import fit_channel
+from navfilter.learning.open_loop_series import ChannelSeries
+from navfilter.learning.zero_frequency import zero_frequency
+from navfilter.models.error_models import ErrorModel, block_level
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.state import wrap
+from navfilter.playback.replay import residual_series
 from navfilter.simulation.campaigns import Staged, stage
 from navfilter.simulation.faults import Faults
-from navfilter.state import wrap
+from navfilter.timeseries.model import ArmaModel
 
 DURATION_S, LEARN_S = 1800.0, 900.0
 #: True orders of the compass's error, by scenario.

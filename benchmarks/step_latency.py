@@ -33,12 +33,12 @@ from baselines import filterpy_times, pyins_filter
 from harness import DEG, Array, Options, Table, flag, hour, main, quick
 
 import navfilter as nf
-from navfilter.beginning import Twin
 from navfilter.filter.filter import Filter
-from navfilter.filter.history import History
-from navfilter.learning.listener import Listener
-from navfilter.learning.worker import Worker
-from navfilter.playback import drive_samples
+from navfilter.learning.background import Worker
+from navfilter.learning.open_loop_series import Listener
+from navfilter.navigation.early_rerun import Twin
+from navfilter.navigation.history import History
+from navfilter.playback.replay import drive_samples
 
 SHARES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 #: Of our calls: percentile, and the aim in medians of filterpy's predict or update of the same size.

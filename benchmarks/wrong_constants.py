@@ -14,9 +14,9 @@ from dataclasses import replace
 from harness import MAPPINGS
 
 from navfilter.calibration.parts import constants_of, described
-from navfilter.evaluation.constants import Constant, constants
-from navfilter.track import Track
-from navfilter.vehicle import Vehicle
+from navfilter.evaluation.calibration_states import Constant, constants
+from navfilter.models.vehicle import Vehicle
+from navfilter.track.track import Track
 
 #: How wrong, and how unsure: by the name of the constant within its sensor [m], [s], [rad], [1].
 WRONG = {"lever_arm_x": 0.5, "time_offset": 0.3, "misalignment_z": math.radians(3.0), "scale": 0.02}

@@ -2,6 +2,6 @@
 
 import sys
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 
 sys.exit(main())

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import navfilter as nf
-from navfilter.filter import asking
 from navfilter.filter import filter as engine
-from navfilter.filter.smoother import smooth_rows
-from navfilter.filter.tape import triangle
-from navfilter.kernels import kalman, stretch
+from navfilter.filter import python_update
+from navfilter.filter.records import triangle
+from navfilter.filter.rts_smoother import smooth_rows
+from navfilter.kernels import batch, kalman
 
 DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
@@ -48,7 +48,7 @@ class Capture:
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
         self.places = kalman.places
-        for module in (engine, asking):
+        for module in (engine, python_update):
             monkeypatch.setattr(module, "kalman", self)
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)
@@ -57,9 +57,9 @@ class Capture:
         run.steps, run.hold = self._each(run.steps, True), self._each(run.hold, False)
         for channel in run.channels.values():  # the same arithmetic, but by kernels that can be listened to
             channel.known = False
-            channel.spot[stretch.EQUATION] = 0
+            channel.spot[batch.EQUATION] = 0
         self._single = []
-        withhold = asking.withhold
+        withhold = python_update.withhold
 
         def withheld(memory, channel, drive_output, kept):
             before = memory.P.copy()
@@ -67,7 +67,7 @@ class Capture:
             if np.any(before != memory.P):
                 self.steps[-1].U = self.samples[-1].U = memory.P - before
 
-        monkeypatch.setattr(asking, "withhold", withheld)
+        monkeypatch.setattr(python_update, "withhold", withheld)
 
     def _each(self, kernel, block):
         """Run the drive's kernel sample by sample on a fresh compound, note each transition, and compound them here."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from feeding import DRIVE, Event, Events
 
-from navfilter.sensors import (
+from navfilter.models.sensors import (
     Attitude,
     BodyVelocity,
     Course,
@@ -29,7 +29,7 @@ from navfilter.sensors import (
     Range,
     WaterVelocity,
 )
-from navfilter.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 DEG = math.pi / 180.0
 

@@ -17,13 +17,13 @@ from faults_library import DEG, Scene, damaged
 from feeding import DRIVE, Event, Events, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.mission import Mission, Stream
-from navfilter.navigator import Navigator
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.state import NavState, matrix_from_euler
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.navigator import Navigator
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, survey_vehicle
 from navfilter.simulation.simulate import simulate
-from navfilter.state import NavState, matrix_from_euler
-from navfilter.vehicle import Vehicle
 
 #: A smallest eigenvalue (of the covariance scaled to a unit diagonal) at or below this is not positive definite. Models
 #: without white noise make covariances that are singular for a moment after a reading; what an eigenvalue is rounded by
@@ -75,7 +75,7 @@ class Outcome:
     smallest : float
         Smallest eigenvalue of the covariance scaled to a unit diagonal, over the run.
     counts : Counter
-        By "role:outcome", "drive:counter", and seconds of "role is condition" (see `navfilter.filter.health`).
+        By "role:outcome", "drive:counter", and seconds of "role is condition" (see `navfilter.faults.sensor_monitor`).
     first_s : dict
         By "role:outcome", the true time of the first reading with it.
     sent, answered : int

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navfilter.mission import Mission
-from navfilter.navigator import Navigator
-from navfilter.playback import drive_samples
-from navfilter.state import NavState
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission
+from navfilter.models.state import NavState
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.navigator import Navigator
+from navfilter.playback.replay import drive_samples
 
 DRIVE = "drive"
 

@@ -4,7 +4,7 @@ import naive
 import numpy as np
 
 from navfilter.kernels import measurement, strapdown
-from navfilter.state import euler_from_matrix, matrix_from_euler
+from navfilter.models.state import euler_from_matrix, matrix_from_euler
 
 #: Radius [m] and squared eccentricity of WGS-84.
 EARTH = (6378137.0, 6.69437999014e-3)

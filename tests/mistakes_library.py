@@ -11,14 +11,14 @@ import numpy as np
 from navfilter.check import check_mission
 from navfilter.check.finding import Finding
 from navfilter.check.plausibility import check_vehicle
-from navfilter.error_models import GaussMarkov, White
 from navfilter.evaluation.assessment import assess
 from navfilter.evaluation.verdict import Verdict
 from navfilter.io.write import labelled
-from navfilter.mission import Mission, Stream
-from navfilter.playback import replay
+from navfilter.models.error_models import GaussMarkov, White
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.vehicle import Vehicle
 
 Spoiled = tuple[Vehicle, Mission]
 Mistake = Callable[[Vehicle, Mission], Spoiled]

@@ -9,9 +9,9 @@ from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from navfilter.kernels import addresses
 from navfilter.kernels import strapdown as strapdown_kernels
-from navfilter.kernels.decorators import standing
+from navfilter.kernels.compiling import addresses
+from navfilter.kernels.compiling.decorators import standing
 
 # ---------------------------------------------------------------- kernels/arma.py: one online step (no gaps, no guard)
 

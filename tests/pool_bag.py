@@ -9,7 +9,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import navfilter as nf
-from navfilter.mission import Mission
+from navfilter.models.mission import Mission
 
 #: As in the package dvl_msgs, without the beams.
 DVL = "std_msgs/Header header\nfloat64 time\ngeometry_msgs/Vector3 velocity\nfloat64 fom\nbool velocity_valid\n"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from navfilter.filter.memory import differences
-from navfilter.navigator import Navigator
+from navfilter.foundation.state_values import differences
+from navfilter.navigation.navigator import Navigator
 
 
 def assert_same_bits(one: Navigator, two: Navigator) -> None:

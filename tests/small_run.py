@@ -3,10 +3,10 @@
 from functools import cache
 
 from navfilter.io.write import labelled
-from navfilter.mission import Mission
-from navfilter.playback import replay
+from navfilter.models.mission import Mission
+from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 
 @cache

@@ -8,13 +8,11 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
-from navfilter.assembly import forward_track, smoothed_track
-from navfilter.filter.adoption import state_change, transfer
-from navfilter.filter.layout import Layout
-from navfilter.filter.memory import differences
-from navfilter.filter.tape import Tape
-from navfilter.learning.learned import (
+from navfilter.filter.model_change import state_change, transfer
+from navfilter.filter.records import Tape
+from navfilter.filter.state_layout import Layout
+from navfilter.foundation.state_values import differences
+from navfilter.models.learned_arma import (
     LearnedArma,
     known_walk,
     known_white,
@@ -24,6 +22,8 @@ from navfilter.learning.learned import (
     resolve_prior,
     with_learned,
 )
+from navfilter.navigation.track_assembly import forward_track, smoothed_track
+from navfilter.timeseries.model import ArmaModel
 
 PERIOD_S = 0.25
 

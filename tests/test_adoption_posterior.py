@@ -22,9 +22,9 @@ from dense_posterior import (
 )
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
 from navfilter.filter.filter import Filter
-from navfilter.learning.learned import LearnedArma
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.timeseries.model import ArmaModel
 
 
 class Changing(Capture):

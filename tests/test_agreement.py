@@ -10,9 +10,10 @@ import pytest
 from feeding import once_a_second
 
 import navfilter as nf
-from navfilter.filter import agreement, refusals, refused
-from navfilter.filter.memory import differences
-from navfilter.filter.offsets import (
+from navfilter.faults import policy, refusals, sensor_bias
+from navfilter.faults.refusals import Refusals
+from navfilter.foundation.state_values import differences
+from navfilter.models.fault_bias import (
     Offset,
     Proportion,
     offset_states,
@@ -20,11 +21,10 @@ from navfilter.filter.offsets import (
     with_offsets,
     with_the_same_offsets,
 )
-from navfilter.filter.refusals import Refusals
+from navfilter.models.state import wrap
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
-from navfilter.state import wrap
 
 DEG = math.pi / 180.0
 RADIUS_M = 6.37e6
@@ -209,7 +209,7 @@ def test_without_a_fault_nothing_fires_and_nothing_changes(monkeypatch, scenario
     vehicle, mission = simulate_scenario(scenario, 11, 150.0)
     with_agreement = nf.replay(vehicle, mission)
     assert with_agreement.counts["reset"] == with_agreement.counts["jumped"] == 0
-    monkeypatch.setattr(refused, "_agreed", lambda *_: False)
+    monkeypatch.setattr(policy, "_agreed", lambda *_: False)
     assert with_agreement.to_frame().equals(nf.replay(vehicle, mission).to_frame())
 
 
@@ -254,7 +254,7 @@ def refusals_of(residual, jumped=False):
     for k, row in enumerate(residual):
         channel.res[:] = row
         arguments = channel, P, 1.5, 100.0 + k, filter.drive_output, 0.01
-        channel.memory.refused = agreement.heard(*arguments)
+        channel.memory.refused = sensor_bias.heard(*arguments)
     return channel
 
 
@@ -270,7 +270,7 @@ def test_agreement_is_a_constant_within_the_noise():
     noise = 0.5 * rng.normal(size=(20, 3))
     steady = noise + np.array([300.0, -40.0, 0.0])
     channel = refusals_of(steady)
-    assert channel.memory.refused.agree(8.0) and agreement.decided(channel) == "state"
+    assert channel.memory.refused.agree(8.0) and sensor_bias.decided(channel) == "state"
     np.testing.assert_allclose(channel.memory.refused.offset[:2], [300.0, -40.0], atol=1.5)
     # a straight line, as a wrong heading makes, is none; nor are fixes all over the place
     ramp = noise + np.arange(20)[:, None] * np.array([6.0, 0.0, 0.0]) + 100.0
@@ -284,7 +284,7 @@ def test_agreement_is_a_constant_within_the_noise():
 
 def test_who_has_jumped_is_a_matter_of_what_came_before():
     steady = 0.5 * np.random.default_rng(2).normal(size=(12, 3)) + np.array([300.0, -40.0, 0.0])
-    assert agreement.decided(refusals_of(steady, jumped=True)) is None  # of fixes: nothing is done
+    assert sensor_bias.decided(refusals_of(steady, jumped=True)) is None  # of fixes: nothing is done
     assert refusals_of(steady, jumped=True).memory.refused.from_the_first()
     slow = np.concatenate([np.linspace(0.1, 1.0, 12)[:, None] * steady.mean(axis=0), steady])
     assert not refusals_of(slow, jumped=True).memory.refused.from_the_first()

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import navfilter as nf
+from navfilter.models.state import matrix_from_euler
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.state import matrix_from_euler
 
 
 def imu_mission(roll, pitch, heading, *, compass=True, fixes=None, scale=1.0, sign=1.0):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-import navfilter.learning.learner as learner_module
-from navfilter.learning.alike import APART, alike
-from navfilter.learning.drift import Drift
-from navfilter.learning.learner import Learner, hop_together
-from navfilter.learning.nearest import slow_psd
-from navfilter.learning.posterior import ABSENT, Line, _weighed
-from navfilter.learning.slow import SlowPrior
+import navfilter.learning.axis_learner as learner_module
+from navfilter.learning.axis_learner import Learner, hop_together
+from navfilter.learning.hierarchical_prior import APART, alike
+from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.slow_posterior import ABSENT, Line, _weighed
+from navfilter.learning.slow_prior import SlowPrior
+from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.faults import draw_error
 
 PERIOD_S = 0.5

@@ -8,11 +8,11 @@ import pytest
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
-from navfilter import passage
-from navfilter.filter import aside
-from navfilter.filter.aside import Aside
-from navfilter.filter.memory import differences
-from navfilter.filter.offsets import has_offset
+from navfilter.faults import velocity_fault
+from navfilter.faults.velocity_fault import Aside
+from navfilter.foundation.state_values import differences
+from navfilter.models.fault_bias import has_offset
+from navfilter.navigation import batch_runner
 
 JUMP_S, MINUTE_S = FAULT_S + 20.0, 60.0  # under way
 
@@ -52,7 +52,7 @@ def test_it_is_told_and_stretches_lives_and_snapshots_give_the_same(monkeypatch)
     whole, _ = fly(vehicle, broken)
     track = nf.replay(vehicle, broken, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
-    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, broken).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, broken, until_s=JUMP_S + 50.0)
     assert half.health.sensors["dvl"].condition == "jumped" and "dvl is jumped" in half.health.trust.reasons
@@ -74,18 +74,18 @@ SIGN = Aside(1.5, (-1.5, 0.0, 0.0), (-3.0, 0.0, 0.0))
 
 
 def test_what_reads_the_same_is_the_same_and_worth_the_less_the_more_it_differs():
-    assert aside.unchanged(SIGN, np.array([-1.45, 0.02, np.nan]))
-    assert not aside.unchanged(SIGN, np.array([-1.4, 0.0, 0.0]))  # it sails faster or slower: nobody knows
-    assert not aside.unchanged(SIGN, np.full(3, np.nan))
-    assert not aside.unchanged(Aside(1.5, (math.nan,) * 3, (-1.5, 0.0, 0.0)), np.zeros(3))
-    found = aside.variances(SIGN, np.array([-1.45, 0.0, np.nan]), np.full(3, 1e-4))
+    assert velocity_fault.unchanged(SIGN, np.array([-1.45, 0.02, np.nan]))
+    assert not velocity_fault.unchanged(SIGN, np.array([-1.4, 0.0, 0.0]))  # it sails faster or slower: nobody knows
+    assert not velocity_fault.unchanged(SIGN, np.full(3, np.nan))
+    assert not velocity_fault.unchanged(Aside(1.5, (math.nan,) * 3, (-1.5, 0.0, 0.0)), np.zeros(3))
+    found = velocity_fault.variances(SIGN, np.array([-1.45, 0.0, np.nan]), np.full(3, 1e-4))
     np.testing.assert_allclose(found, [1e-4 + 0.1**2, 1e-4, 1e-4])  # of another sign: twice the change
 
 
 def test_it_is_back_where_it_is_nearer_to_the_state_under_way():
-    assert aside.shows_itself(SIGN, 1.5, np.array([-0.7, 0.0, np.nan]))
-    assert not aside.shows_itself(SIGN, 1.5, np.array([-1.6, 0.0, 0.0]))  # however uncertain the velocity is
-    assert not aside.shows_itself(SIGN, 0.2, np.array([-0.4, 0.0, 0.0]))  # another sign agrees at rest
+    assert velocity_fault.shows_itself(SIGN, 1.5, np.array([-0.7, 0.0, np.nan]))
+    assert not velocity_fault.shows_itself(SIGN, 1.5, np.array([-1.6, 0.0, 0.0]))  # however uncertain the velocity is
+    assert not velocity_fault.shows_itself(SIGN, 0.2, np.array([-0.4, 0.0, 0.0]))  # another sign agrees at rest
 
 
 def test_a_jump_beside_the_speed_is_one_of_the_velocity_where_a_unit_carries():
@@ -97,11 +97,13 @@ def test_a_jump_beside_the_speed_is_one_of_the_velocity_where_a_unit_carries():
         return SimpleNamespace(sensor=SimpleNamespace(ground=ground), reading=np.array(reading), axes=3)
 
     dvl, jump = channel([-1.5, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
-    assert aside.jumped(filter(1.5), dvl, jump) == SIGN
-    assert aside.jumped(filter(1.5), dvl, 0.1 * jump) is None  # a constant, or a scale
-    assert aside.jumped(filter(1.5), channel([-1.5, 0.0, 0.0], ground=0), jump) is None
+    assert velocity_fault.jumped(filter(1.5), dvl, jump) == SIGN
+    assert velocity_fault.jumped(filter(1.5), dvl, 0.1 * jump) is None  # a constant, or a scale
+    assert velocity_fault.jumped(filter(1.5), channel([-1.5, 0.0, 0.0], ground=0), jump) is None
     assert (
-        aside.jumped(filter(1.5, lost=True), dvl, jump) is aside.jumped(filter(1.5, inertial=False), dvl, jump) is None
+        velocity_fault.jumped(filter(1.5, lost=True), dvl, jump)
+        is velocity_fault.jumped(filter(1.5, inertial=False), dvl, jump)
+        is None
     )
-    nothing = aside.jumped(filter(1.5), channel([0.01, 0.0, 0.0]), 0.5 * jump)
+    nothing = velocity_fault.jumped(filter(1.5), channel([0.01, 0.0, 0.0]), 0.5 * jump)
     assert np.isnan(nothing.read).all()  # it reads nothing at any speed

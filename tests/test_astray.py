@@ -10,9 +10,9 @@ from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign
-from navfilter.filter.course import Course, led_astray, told_by_fixes
-from navfilter.filter.memory import differences
-from navfilter.filter.offsets import has_offset
+from navfilter.faults.heading_fault import Course, led_astray, told_by_fixes
+from navfilter.foundation.state_values import differences
+from navfilter.models.fault_bias import has_offset
 from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, simulate_scenario, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
@@ -154,7 +154,7 @@ def test_fixes_are_not_blamed_for_long_for_a_dvl_and_a_compass_that_are_describe
 
     judged, rms_m = rms()
     assert judged.counts["astray"] + judged.counts["jumped"] >= 1  # it is said
-    monkeypatch.setattr("navfilter.filter.described.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
+    monkeypatch.setattr("navfilter.filter.channel_model.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
     believing, plain_m = rms()
     assert believing.counts["astray"] == 0 and rms_m < plain_m
 

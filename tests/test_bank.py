@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from navfilter.arma.algebra import split_bias
-from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.arma.online.bank import ArmaBank, moment_gm1
-from navfilter.arma.roots import cancelling_pairs, cap_poles, has_unit_root
-from navfilter.diagnostics import whiteness
+from navfilter.timeseries.diagnostics import whiteness
+from navfilter.timeseries.model import ArmaModel, simulate_arma
+from navfilter.timeseries.online.order_bank import ArmaBank, moment_gm1
+from navfilter.timeseries.polynomials import split_bias
+from navfilter.timeseries.roots import cancelling_pairs, cap_poles, has_unit_root
 
 MODELS = {
     (0, 0): ([], []),
@@ -66,7 +66,7 @@ def test_one_sample_at_a_time_and_snapshot_are_the_same_to_the_last_bit():
 
 
 def test_a_candidate_in_the_bank_is_the_estimator_alone():
-    from navfilter.arma.online.recursive import RecursiveArma
+    from navfilter.timeseries.online.recursive import RecursiveArma
 
     series = simulate_arma([-0.8], [0.3], 1.0, 3000, seed=33)
     bank, alone = ArmaBank(1000, orders=[(1, 1)], clip=0.0), RecursiveArma(1, 1, 1000)

@@ -8,7 +8,8 @@ from faults_run import dived
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter import over_ground, realignment, refused_way
+from navfilter.faults import alternative_path, ground_velocity
+from navfilter.faults.imu import realignment
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
@@ -49,13 +50,15 @@ def test_residuals_of_beams_are_a_velocity(dive):
     off_b = np.array([0.3, -0.2, 0.1])
     beams = np.concatenate([vehicle.sensors["dvl"].beams() @ off_b, np.full(4, np.nan)])
     channel.note[3 : 3 + channel.axes] = beams
-    np.testing.assert_allclose(over_ground.residual(channel, state, beams), off_b, atol=1e-3)
+    np.testing.assert_allclose(ground_velocity.residual(channel, state, beams), off_b, atol=1e-3)
     # of four beams at 30 degrees: sd / sqrt(2) each of a level axis, sd / sqrt(3) of the vertical one
-    np.testing.assert_allclose(over_ground.variances(channel, state), 0.02**2 / np.array([0.5, 0.5, 3.0]), rtol=0.01)
+    np.testing.assert_allclose(
+        ground_velocity.variances(channel, state), 0.02**2 / np.array([0.5, 0.5, 3.0]), rtol=0.01
+    )
     beams[0] = np.nan
-    np.testing.assert_allclose(over_ground.residual(channel, state, beams), off_b, atol=1e-3)
+    np.testing.assert_allclose(ground_velocity.residual(channel, state, beams), off_b, atol=1e-3)
     beams[1] = np.nan
-    assert np.isnan(over_ground.residual(channel, state, beams)).all()
+    assert np.isnan(ground_velocity.residual(channel, state, beams)).all()
 
 
 def test_a_water_track_that_is_refused_says_nothing_of_the_velocity_over_ground(dive):
@@ -68,5 +71,5 @@ def test_a_water_track_that_is_refused_says_nothing_of_the_velocity_over_ground(
     channel.memory.rejected_since_s = channel.memory.last_s = nav.time_s
     channel.note[3 : 3 + channel.axes] = [np.nan] * 4 + [0.5] * 4
     assert realignment._refused_velocity(nav.filter) is None
-    way = refused_way.with_refused(nav.filter, channel, nav.time_s + 0.5)
+    way = alternative_path.with_refused(nav.filter, channel, nav.time_s + 0.5)
     assert (way.north, way.east, way.length) == (0.0, 0.0, 0.0)

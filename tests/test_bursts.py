@@ -8,7 +8,7 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter.bursts import Bursts
+from navfilter.faults.clocks.burst_stamps import Bursts
 from navfilter.simulation.scenarios import simulate_scenario
 
 PERIOD_S, END_S = 0.01, 40.0

@@ -10,9 +10,9 @@ import navfilter as nf
 from navfilter.calibration.calibrate import REFERENCE, UNTOLD, Calibration, Found, _Folds, with_reference
 from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
+from navfilter.calibration.text import calibration_text
 from navfilter.calibration.validation import FOLDS, Prediction, stretches_of
-from navfilter.calibration.words import calibration_text
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.io.calibrated_toml import write_calibrated
 from navfilter.simulation.faults import Faults
@@ -467,7 +467,7 @@ def test_a_calibrated_mean_is_where_the_state_begins():
     value, sd = track.state("velocity.scale")
     assert value[0] == 0.02 and sd[0] == 0.0005 and abs(value[-1] - 0.02) < 0.0015
     # what was found is no news: it has not left what the file says
-    from navfilter.evaluation.constants import constants
+    from navfilter.evaluation.calibration_states import constants
 
     (one,) = [c for c in constants(track) if c.name == "velocity.scale"]
     assert one.given == 0.02 and abs(one.value - one.given) < 2.5 * one.given_sd

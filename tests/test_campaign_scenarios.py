@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navfilter.error_models import per_axis
+from navfilter.models.error_models import per_axis
+from navfilter.models.state import wrap
 from navfilter.simulation import studies
 from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES, stage
 from navfilter.simulation.faults import Changing
-from navfilter.state import wrap
 
 TABLES = {t["name"]: t for t in json.loads((Path(__file__).parent / "appendix_a.json").read_text())["tables"]}
 DEG = np.pi / 180.0

@@ -7,19 +7,19 @@ import pytest
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
-from navfilter.evaluation.rivals import rivals
-from navfilter.learning.conflict import CONTRADICTED, Stretches, stretched
-from navfilter.learning.drift import Drift
-from navfilter.learning.learned import DEFAULT_ORDERS
-from navfilter.learning.learner import Learner
-from navfilter.learning.quick import quick_description
-from navfilter.learning.slow import slow_prior
-from navfilter.mission import Stream
+from navfilter.evaluation.baselines import rivals
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.consistency import CONTRADICTED, Stretches, stretched
+from navfilter.learning.fast_prior import quick_description
+from navfilter.learning.slow_prior import slow_prior
+from navfilter.models.learned_arma import DEFAULT_ORDERS
+from navfilter.models.mission import Stream
+from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.simulate import simulate
+from navfilter.timeseries.model import ArmaModel
 
 DEG, FIXED_S, RATE_HZ = np.pi / 180.0, 42.0, 10.0
 SEEDS, MANY = range(51, 57), range(51, 75)

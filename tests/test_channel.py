@@ -8,14 +8,14 @@ import pytest
 from filterpy.common import van_loan_discretization
 from scipy.linalg import expm
 
-from navfilter.arma.algebra import add_arma
-from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.kernels import channel as kernels
-from navfilter.kernels.channel import LANES
-from navfilter.learning.drift import Drift
-from navfilter.learning.fit import fit_channel
+from navfilter.kernels import arma_likelihood as kernels
+from navfilter.kernels.arma_likelihood import LANES
+from navfilter.learning.arma_fit import fit_channel
 from navfilter.learning.likelihood import Likelihood
-from navfilter.learning.slow import drift_chain
+from navfilter.learning.slow_prior import drift_chain
+from navfilter.models.navigation_drift import Drift
+from navfilter.timeseries.model import ArmaModel, simulate_arma
+from navfilter.timeseries.polynomials import add_arma
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125

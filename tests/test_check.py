@@ -11,7 +11,7 @@ import navfilter as nf
 from navfilter.check import check_mission, report_text
 from navfilter.check.motion import motion_findings
 from navfilter.io import geodesy, read_mission, read_vehicle
-from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
+from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 
 IMU = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s", "force_x_m_s2", "force_y_m_s2", "force_z_m_s2")
 V = ("v_x_m_s", "v_y_m_s", "v_z_m_s")

@@ -11,7 +11,7 @@ from test_check import MOTION, mission, said
 
 from navfilter.check import Finding, check_mission
 from navfilter.io import read_mission, read_vehicle
-from navfilter.mission import Mission, Stream
+from navfilter.models.mission import Mission, Stream
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 
 RECORDED = sorted(

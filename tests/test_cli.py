@@ -7,9 +7,11 @@ import sys
 import numba
 import pytest
 
-from navfilter import cli, compilation, warming
-from navfilter.cli import main
+from navfilter.commands import cli
+from navfilter.commands.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
+from navfilter.kernels.compiling import progress
+from navfilter.playback.replay import warm_up
 
 HANGS_S = 600.0  # far beyond what a command takes here
 COMMANDS = ("demo", "replay", "run", "compare", "montecarlo", "identify", "simulate", "check", "vehicle", "warmup")
@@ -61,7 +63,8 @@ def test_the_module_is_the_command():
 
 
 def test_help_loads_neither_figures_nor_tables():
-    code = "import sys, navfilter.cli; print([m for m in ('matplotlib', 'pandas', 'h5py', 'tqdm') if m in sys.modules])"
+    heavy = "('matplotlib', 'pandas', 'h5py', 'tqdm')"
+    code = f"import sys, navfilter.commands.cli; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANGS_S)
     assert done.stdout.strip() == "[]", done.stderr
 
@@ -211,8 +214,8 @@ def test_interrupted_and_out_of_memory(monkeypatch, capsys):
 def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
-    monkeypatch.setattr(warming, "warm_up", lambda vehicle, smoother: None)
-    monkeypatch.setattr(compilation, "show_compilation", lambda: None)
+    monkeypatch.setattr(warm_up, "warm_up", lambda vehicle, smoother: None)
+    monkeypatch.setattr(progress, "show_compilation", lambda: None)
     assert main(["warmup"]) == 0
     assert "compiling" in capsys.readouterr().err
     for name in ("strapdown", "kalman", "measurement"):
@@ -228,7 +231,9 @@ def test_a_vehicle_survives_its_file(dive, tmp_path):
 
 
 def test_nobody_listens(dive):
-    code = f"from navfilter.cli import main; import sys; sys.exit(main(['check', {str(dive / 'mission.npz')!r}]))"
+    code = (
+        f"from navfilter.commands.cli import main; import sys; sys.exit(main(['check', {str(dive / 'mission.npz')!r}]))"
+    )
     done = subprocess.run(
         f'{sys.executable} -c "{code}" | true', shell=True, capture_output=True, text=True, timeout=HANGS_S
     )

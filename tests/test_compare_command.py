@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from navfilter.cli import main
-from navfilter.error_models import Arma, GaussMarkov, Sum, White
+from navfilter.commands.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
-from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.playback import replay
+from navfilter.models.error_models import Arma, GaussMarkov, Sum, White
+from navfilter.models.learned_arma import LearnedArma, learned_part
+from navfilter.playback.replay import replay
 from navfilter.simulation.truth import true_vehicle
 
 MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle")

@@ -11,13 +11,13 @@ from scipy.signal import lfilter
 from small_run import small_run
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import GaussMarkov
-from navfilter.evaluation import wording
+from navfilter.evaluation import learned_text
 from navfilter.evaluation.consistency import chi_square_range, independent, innovation_series, shown_unit
-from navfilter.filter.tape import OUTCOMES, Residuals
-from navfilter.learning.learned import LearnedArma
+from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.models.error_models import GaussMarkov
+from navfilter.models.learned_arma import LearnedArma
 from navfilter.report.comparison_page import adopted_models, drawn, render_comparison
+from navfilter.timeseries.model import ArmaModel
 
 REJECTED = OUTCOMES.index("rejected")
 
@@ -239,7 +239,7 @@ def learnt(track):
 def test_the_history_of_what_was_learnt(runs):
     _, tracks = runs
     track = learnt(tracks["forward"])
-    histories = wording.learnt(track)
+    histories = learned_text.learnt(track)
     assert [h.title for h in histories] == ["compass", "dvl y"]
     assert histories[0].time_s == (30.0, 60.0, 90.0) and [m.p for m in histories[0].models] == [1, 2, 2]
     plain = adopted_models({"arma": track, "gm1": tracks["forward"]})

@@ -11,15 +11,15 @@ from feeding import events_of, one_by_one
 from numba.core.types.functions import BaseFunction
 
 import navfilter as nf
-from navfilter import compilation
-from navfilter.kernels import addresses, kalman, stretch
-from navfilter.known_calls import calls_remembered
+from navfilter.kernels import batch, kalman
+from navfilter.kernels.compiling import addresses, progress
+from navfilter.kernels.compiling.type_cache import calls_remembered
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.simulation.simulate import tiny_mission
 
 COMPILE = """
 import sys
-import navfilter.compilation as compilation
+import navfilter.kernels.compiling.progress as compilation
 import numba
 sys.stderr.isatty = lambda: {terminal}
 compilation._EVERY_S = 0.0
@@ -84,7 +84,7 @@ def test_a_second_process_compiles_for_the_first(tmp_path):
 def test_what_is_compiled_ahead_is_what_a_replay_calls():
     vehicle, mission = simulate_scenario("thesis", 1, 60.0)
     nf.replay(vehicle, mission, smooth=True)
-    assert stretch.stretch.signatures == [addresses.STRETCH]
+    assert batch.stretch.signatures == [addresses.STRETCH]
     assert kalman.smooth_run.signatures == [addresses.SMOOTH_RUN]
 
 
@@ -93,13 +93,13 @@ def test_what_is_compiled_ahead_is_what_is_called_live():
     vehicle, mission = simulate_scenario("thesis", 1, 20.0)
     nav = nf.Navigator(vehicle, mission.start)
     one_by_one(nav, events_of(vehicle, mission))
-    assert stretch.prompt.signatures == [addresses.PROMPT]
-    assert stretch.sample.signatures == [addresses.SAMPLE]
+    assert batch.prompt.signatures == [addresses.PROMPT]
+    assert batch.sample.signatures == [addresses.SAMPLE]
 
 
 def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
     if not numba.config.DISABLE_JIT:
-        assert compilation.kernel_count("listen") == 7
+        assert progress.kernel_count("listen") == 7
 
 
 GRAM = """

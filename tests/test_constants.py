@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import navfilter
-from navfilter.arma.choice import CRITERIA, Challenge, Choice, criterion
-from navfilter.learning.effort import Effort
+from navfilter.learning.settings import Effort
+from navfilter.timeseries.order_criterion import CRITERIA, Challenge, Choice, criterion
 
 ROOT = Path(navfilter.__file__).parent
 

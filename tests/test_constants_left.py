@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import navfilter as nf
 from navfilter.evaluation.assessment import assess
-from navfilter.evaluation.constants import constants
+from navfilter.evaluation.calibration_states import constants
 from navfilter.io.write import labelled
-from navfilter.playback import replay
+from navfilter.playback.replay import replay
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion

@@ -7,7 +7,7 @@ import pytest
 
 import navfilter as nf
 from navfilter.evaluation.correlations import FALSE_ALARMS, correlation, correlation_doubts, correlations
-from navfilter.evaluation.surfacing import evidence
+from navfilter.evaluation.fix_reacquisition import evidence
 from navfilter.evaluation.verdict import judge
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults

@@ -8,8 +8,8 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter import sensor_clock
-from navfilter.filter.drive_clock import Arrived, DriveClock
+from navfilter.faults.clocks import sensor_clock
+from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
 from navfilter.simulation.scenarios import simulate_scenario
 
 SET_S, END_S = 12.0, 20.0

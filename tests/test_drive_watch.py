@@ -9,8 +9,8 @@ import pytest
 from kernel_inputs import assert_close, random_nav
 
 import navfilter as nf
-from navfilter.filter.drive_watch import CONDITIONS, DriveWatch
-from navfilter.kernels import drive_watch as kernel
+from navfilter.faults.imu.monitor import CONDITIONS, DriveWatch
+from navfilter.kernels import imu_checks as kernel
 from navfilter.simulation.presets import mems_imu, tactical_imu
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario
 from navfilter.simulation.simulate import simulate

@@ -9,10 +9,10 @@ from scipy.optimize import brentq
 from statsmodels.tsa.arima_process import ArmaProcess
 
 import navfilter as nf
-from navfilter.arma.continuous import gauss_markov as discretised
-from navfilter.error_models import CORRELATION_CONSTANTS, per_axis
-from navfilter.filter.layout import Layout
+from navfilter.filter.state_layout import Layout
+from navfilter.models.error_models import CORRELATION_CONSTANTS, per_axis
 from navfilter.simulation.faults import draw_error
+from navfilter.timeseries.continuous import gauss_markov as discretised
 
 
 def autocovariance(block, lags):

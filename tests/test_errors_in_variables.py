@@ -10,7 +10,7 @@ import pytest
 from kernel_inputs import assert_close, run_both
 
 import navfilter as nf
-from navfilter.kernels import measurement, past
+from navfilter.kernels import delayed_state, measurement
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, survey, survey_vehicle, transit
 from navfilter.simulation.simulate import simulate
@@ -108,7 +108,7 @@ def test_fixes_tell_their_clock_by_motion_alone():
 def test_a_lever_arm_is_only_considered_where_no_slope_stands_out(inertial):
     rng = np.random.default_rng(2)
     drv, Cr, root = np.zeros(200), np.zeros((6, 3)), rng.normal(size=(14, 14))
-    drv[past.strapdown.INERTIAL], drv[past.strapdown.PERIOD_S], Cr[:3, 2] = inertial, 0.01, 1e-6
+    drv[delayed_state.strapdown.INERTIAL], drv[delayed_state.strapdown.PERIOD_S], Cr[:3, 2] = inertial, 0.01, 1e-6
     before, x, res, near = root @ root.T, rng.normal(size=5), rng.normal(size=3), np.zeros((3, 13))
     # fifteen times 1e-3 rad/s over the root of 20 samples is 0.0034 rad/s
     near[1, 10], near[0, 11], near[0, 12], near[2, 12] = 0.02, 0.0033, 0.0031, 0.0025
@@ -116,10 +116,10 @@ def test_a_lever_arm_is_only_considered_where_no_slope_stands_out(inertial):
     H = np.hstack([rng.normal(size=(3, 11)), np.nan_to_num(near[:, 10:])])
     S = H @ before @ H.T + np.eye(3)
     K = before @ H.T @ np.linalg.inv(S)
-    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, past.lanes(3)))
-    noted, _ = run_both(past.keep_constants, before, x, 11, kept)
+    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, delayed_state.lanes(3)))
+    noted, _ = run_both(delayed_state.keep_constants, before, x, 11, kept)
     given = P, after, near, noted[3], 1, 11, drv, Cr, np.empty(3)
-    ours, twins = run_both(past.withhold, *given)
+    ours, twins = run_both(delayed_state.withhold, *given)
     assert_close(ours[:2], twins[:2], 1e-13)
     told = [11, 13] if inertial else [11, 12, 13]
     considered(ours, before, x, H, K, res, [i for i in (11, 12, 13) if i not in told])
@@ -146,9 +146,9 @@ def test_constants_are_only_considered_where_they_are_hidden_by_the_error_of_the
     H = np.eye(2, 16, 3)
     S = H @ before @ H.T + np.eye(2)
     K = before @ H.T @ np.linalg.inv(S)
-    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, past.lanes(3)))
-    noted, _ = run_both(past.keep_constants, before, x, 12, kept)
-    ours, twins = run_both(past.withhold_hidden, P, after, H, K, noted[3], 12, np.empty(3))
+    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, delayed_state.lanes(3)))
+    noted, _ = run_both(delayed_state.keep_constants, before, x, 12, kept)
+    ours, twins = run_both(delayed_state.withhold_hidden, P, after, H, K, noted[3], 12, np.empty(3))
     assert_close(ours[:2], twins[:2], 1e-13)
     considered(ours, before, x, H, K, res, [12, 14])
 
@@ -157,18 +157,18 @@ def test_constants_are_only_considered_where_they_are_hidden_by_the_error_of_the
 def test_an_acceleration_is_known_as_well_as_tilt_and_bias_together(inertial):
     rng = np.random.default_rng(4)
     drv, nav, Cr, root = np.zeros(200), np.zeros(17), rng.normal(size=(6, 4)), rng.normal(size=(14, 14))
-    drv[past.strapdown.INERTIAL], nav[0] = inertial, 0.8
+    drv[delayed_state.strapdown.INERTIAL], nav[0] = inertial, 0.8
     nav[6:15] = np.linalg.qr(rng.normal(size=(3, 3)))[0].ravel()
     given = (root @ root.T, nav, drv, Cr, np.ones((3, 3)), np.empty(18))
-    ours, twins = run_both(past.pushed, *given)
+    ours, twins = run_both(delayed_state.pushed, *given)
     assert_close(ours[:5], twins[:5], 1e-12)
     # level: a tilt about east by a bias of the first accelerometer, which a velocity has told to be of one size
     nav[6:15], Cr[:] = np.eye(3).ravel(), 0.0
-    Cr[3, 0], g = 1.0, past.strapdown.gravity(0.8, 0.0)
+    Cr[3, 0], g = 1.0, delayed_state.strapdown.gravity(0.8, 0.0)
     apart = np.zeros((14, 14))
     apart[7, 7], apart[9, 9], apart[7, 9], apart[9, 7] = 0.01**2, (0.01 * g) ** 2, -(0.01**2) * g, -(0.01**2) * g
     pushes = np.ones((3, 3))
-    past.pushed(apart, nav, drv, Cr, pushes, np.empty(18))
+    delayed_state.pushed(apart, nav, drv, Cr, pushes, np.empty(18))
     assert pushes == pytest.approx(np.zeros((3, 3)), abs=1e-12)
 
 
@@ -189,7 +189,7 @@ def test_a_vehicle_at_rest_tells_nothing_of_a_clock():
 def test_a_slope_by_a_lever_arm_has_no_noise_of_the_reading_that_is_predicted(known):
     rows = np.column_stack([np.full(40, 0.01), np.tile([0.002, 0.1, -0.1], (40, 1)), np.zeros((40, 3))])
     rows[:2], rows[known:] = 99.0, 0.0
-    ours, twins = run_both(past.lately, rows, np.zeros(3))
+    ours, twins = run_both(delayed_state.lately, rows, np.zeros(3))
     assert_close(ours, twins, 1e-15)
     assert ours[1] == pytest.approx([0.002, 0.1, -0.1])
 

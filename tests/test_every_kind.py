@@ -12,9 +12,9 @@ import same_runs
 from test_passage import assert_same, changed, compare_stretches, one_by_one
 
 import navfilter as nf
-from navfilter import passage
-from navfilter.filter import described
-from navfilter.kernels.stretch import EQUATION
+from navfilter.filter import channel_model
+from navfilter.kernels.batch import EQUATION
+from navfilter.navigation import batch_runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
@@ -144,10 +144,10 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     vehicle, mission = VEHICLES[name], mission_of(name)
     if defects:
         mission = defective(mission, vehicle)
-    monkeypatch.setattr(passage, "READINGS", 60)
+    monkeypatch.setattr(batch_runner, "READINGS", 60)
     calls = []
-    call = passage.Passage._call
-    monkeypatch.setattr(passage.Passage, "_call", lambda self: calls.append(call(self)) or calls[-1])
+    call = batch_runner.Passage._call
+    monkeypatch.setattr(batch_runner.Passage, "_call", lambda self: calls.append(call(self)) or calls[-1])
     together = nf.replay(vehicle, mission, smooth=True)
     taken = sum(residuals.count("used") for residuals in together.residuals.values())
     assert 0 < len(calls) < 0.5 * taken or defects
@@ -168,7 +168,7 @@ def test_compiled_as_asked_by_python(name, monkeypatch):
     """Differences are those of rounding, which a mission of 41 s keeps small."""
     vehicle, mission = VEHICLES[name], mission_of(name)
     compiled = nf.playback.at_the_end(vehicle, mission)
-    monkeypatch.setattr(described, "address", lambda *_: 0)
+    monkeypatch.setattr(channel_model, "address", lambda *_: 0)
     asked = nf.playback.at_the_end(vehicle, mission)
     assert not asked.filter.plan[:-1, EQUATION].any() and compiled.filter.plan[:-1, EQUATION].all()
     same_runs.assert_same_estimate(compiled, asked, 1e-7)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 
 FOLDER = Path(__file__).parent.parent / "docs" / "pages" / "examples"
 PAGES = sorted(page for page in FOLDER.glob("*.md") if page.stem != "notebook")

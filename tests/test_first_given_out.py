@@ -7,7 +7,7 @@ import pytest
 from feeding import DRIVE, events_of
 
 import navfilter as nf
-from navfilter.filter.tape import Tape
+from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import stage
 

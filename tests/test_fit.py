@@ -12,7 +12,7 @@ from statsmodels.tsa.innovations.arma_innovations import arma_loglike
 from statsmodels.tsa.statespace.sarimax import SARIMAX
 
 import navfilter as nf
-from navfilter.arma.objective import GapFree, WithGaps
+from navfilter.timeseries.likelihood import GapFree, WithGaps
 
 SLOW, FAST = 0.97 * np.exp(0.5j), 0.8 * np.exp(1.7j)
 TRUTH = {

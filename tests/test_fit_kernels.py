@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
-from navfilter.kernels import fit as kernels
+from navfilter.kernels import arma_fit as kernels
 
 RANDOM = np.random.default_rng(20)
 A = np.poly([0.95, 0.6, -0.4])[1:]

@@ -14,18 +14,18 @@ from numba import njit
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
-from navfilter.error_models import Block, ErrorModel, block_level
-from navfilter.filter.layout import Parameter
+from navfilter.filter.state_layout import Parameter
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
 from navfilter.io.vehicle_template import vehicle_template
-from navfilter.kernels import listen
-from navfilter.learning.drift import Drift
-from navfilter.learning.learned import learned_part
-from navfilter.playback import drive_samples
+from navfilter.kernels import open_loop_residual
+from navfilter.models.error_models import Block, ErrorModel, block_level
+from navfilter.models.learned_arma import learned_part
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors import Sensor
+from navfilter.models.sensors.traits import Columns, Example, Plausible
+from navfilter.playback.replay import drive_samples
 from navfilter.report.report import render_report
-from navfilter.sensors import Sensor
-from navfilter.sensors.traits import Columns, Example, Plausible
 from navfilter.service.log import LOG_FILE, prepare_log
 from navfilter.service.session import Options
 from navfilter.simulation.faults import Faults
@@ -62,7 +62,7 @@ class BeaconRange(Sensor):
 
     kernel: ClassVar = staticmethod(beacon_range)
     axis_names: ClassVar = ("range",)
-    open_loop: ClassVar = listen.POSITION
+    open_loop: ClassVar = open_loop_residual.POSITION
     corrects: ClassVar = "position"
     contents: ClassVar = ((Columns("beacon_range", ("range_m",), ("length",)),),)
     plausible: ClassVar = Plausible(1e-3, 100.0, "cm", most_rate_hz=20.0)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from navfilter.arma.fit import fit_arma
-from navfilter.arma.model import simulate_arma
-from navfilter.arma.online.bank import ArmaBank
-from navfilter.arma.online.front_end import FrontEnd, find_resolution, repeat_share
-from navfilter.arma.online.recursive import RecursiveArma
-from navfilter.arma.periodic_motion import find_motion_band, subtract_motion
+from navfilter.timeseries.fit import fit_arma
+from navfilter.timeseries.model import simulate_arma
+from navfilter.timeseries.online.order_bank import ArmaBank
+from navfilter.timeseries.online.preprocessing import FrontEnd, find_resolution, repeat_share
+from navfilter.timeseries.online.recursive import RecursiveArma
+from navfilter.timeseries.periodic_motion import find_motion_band, subtract_motion
 
 NOISE = simulate_arma([-0.8], [0.3], 1.0, 6000, seed=61)
 

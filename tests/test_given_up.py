@@ -12,21 +12,21 @@ from feeding import DRIVE, events_of
 from scipy.stats import kstest
 
 import navfilter as nf
+from navfilter.evaluation.baselines import learnable, rivals
 from navfilter.evaluation.comparison import compare
-from navfilter.evaluation.doubts import doubts
+from navfilter.evaluation.diagnostics import doubts
+from navfilter.evaluation.fix_reacquisition import evidence
 from navfilter.evaluation.montecarlo.campaign import Campaign
-from navfilter.evaluation.rivals import learnable, rivals
-from navfilter.evaluation.surfacing import evidence
 from navfilter.filter.filter import Filter
-from navfilter.filter.memory import differences
-from navfilter.kernels import listen
-from navfilter.learning import conflict, schedule
-from navfilter.learning.conflict import CONTRADICTED, departure, is_near
-from navfilter.learning.learned import learned_part
+from navfilter.foundation.state_values import differences
+from navfilter.kernels import open_loop_residual
+from navfilter.learning import consistency, schedule
+from navfilter.learning.consistency import CONTRADICTED, departure, is_near
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.models.learned_arma import learned_part
+from navfilter.models.start import Start
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.scenarios import survey_vehicle
-from navfilter.start import Start
 
 START = Start(latitude_deg=45.0, longitude_deg=8.0)
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
@@ -90,7 +90,7 @@ def test_what_is_near_does_not_depart(told):
         filter.x[at - 9] = mean + sd * size * rng.standard_normal(len(at))
         near.append(is_near(filter))
         given = filter.x, filter.P, at, mean, variance, rng.uniform(0.1, 3.0)
-        assert listen.is_within(*given) == naive.is_within(*given)
+        assert open_loop_residual.is_within(*given) == naive.is_within(*given)
         assert not near[-1] or departure(filter) < CONTRADICTED
     assert np.mean(near[:250]) > 0.5 and not all(near)
 
@@ -108,7 +108,7 @@ def test_what_constants_were_told_since_is_the_twins(k):
         x[at - 9] *= sd
         estimate = 0.1 * sd * rng.standard_normal(k)
         ours, twins = np.empty((2, 2, k + 1, k))
-        found = listen.told_since(x, P, at, estimate, before, 0.003, *ours)
+        found = open_loop_residual.told_since(x, P, at, estimate, before, 0.003, *ours)
         expected = naive.told_since(x, P, at, estimate, before, 0.003, *twins)
         assert found == pytest.approx(expected, rel=1e-9)
         np.testing.assert_array_equal(ours[0], twins[0])
@@ -134,7 +134,7 @@ def speaks(against_described):
 def few_hops(monkeypatch):
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (16.0, 40.0))
     monkeypatch.setattr(LearningSchedule, "REVISED_S", 80.0)
-    for module in (schedule, conflict):
+    for module in (schedule, consistency):
         monkeypatch.setattr(module, "departure", speaks(0.0))
     monkeypatch.setattr(schedule, "is_near", lambda filter: False)
 
@@ -179,7 +179,7 @@ def test_learnt_models_stay_where_the_constants_speak_against_any(mission, few_h
     monkeypatch.undo()
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (16.0, 40.0))
     monkeypatch.setattr(LearningSchedule, "REVISED_S", 80.0)
-    for module in (schedule, conflict):
+    for module in (schedule, consistency):
         monkeypatch.setattr(module, "departure", speaks(8.5))
     no_better = LearningSchedule.is_no_better
     monkeypatch.setattr(LearningSchedule, "is_no_better", lambda *given: asked.append(1) or no_better(*given))
@@ -202,7 +202,7 @@ def test_refused_to_the_end_the_sensor_is_as_described_or_as_was_taken_before(mi
 
     def refuses(own, other):
         asked.append(own)
-        monkeypatch.setattr(conflict, "WORSE", math.inf if len(asked) <= taken else -math.inf)  # whatever fixes say
+        monkeypatch.setattr(consistency, "WORSE", math.inf if len(asked) <= taken else -math.inf)  # whatever fixes say
         return no_better(own, other)
 
     monkeypatch.setattr(LearningSchedule, "is_no_better", refuses)

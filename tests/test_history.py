@@ -9,10 +9,10 @@ import same_runs
 from feeding import Event, delayed, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.beginning import Twin
-from navfilter.filter.memory import differences
-from navfilter.kernels import shifts
+from navfilter.foundation.state_values import differences
+from navfilter.kernels import bias_drift
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.navigation.early_rerun import Twin
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -155,7 +155,7 @@ def test_a_look_at_the_biases_does_not_ask_what_no_memory_holds():
             nav.correct("compass", time_s, 0.01 * (k % 7), sd=0.01 * (1 + k // 290 % 3))
         if k % 20 == 10:
             nav.correct("depth", time_s, 0.05)
-            looks.append(nav.filter.memory.shifts[-1, shifts.HEADING])
+            looks.append(nav.filter.memory.shifts[-1, bias_drift.HEADING])
             if len(set(looks[-2:])) == 2:
                 again.append(nf.Navigator.restore(vehicle, nav.snapshot()))
                 assert differences(again[-1].memory, nav.memory) == []

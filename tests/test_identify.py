@@ -13,17 +13,17 @@ import pytest
 import scipy.io
 
 import navfilter as nf
-from navfilter.cli import main
-from navfilter.error_models import Arma, GaussMarkov, RandomWalk, Sum, White
+from navfilter.commands.cli import main
 from navfilter.identification.conditioning import MAX_SAMPLES, condition, gap_free, quantisation_step
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import identify, model_allan_deviation
 from navfilter.identification.online import track_online, tracks_text
-from navfilter.identification.reading import read_model
 from navfilter.identification.report import as_dict, error_lines, summary_text
 from navfilter.io.series import Series, on_a_grid, read_series
 from navfilter.io.tables import TableOptions
-from navfilter.mission import Mission, MissionError, Stream
+from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.interpretation import read_model
+from navfilter.models.mission import Mission, MissionError, Stream
 
 WALK_AND_WHITE = ([-1.0], [-0.95])
 

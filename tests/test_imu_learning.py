@@ -11,24 +11,24 @@ import same_runs
 from feeding import DRIVE, delayed, events_of, in_blocks, one_by_one
 
 import navfilter as nf
-from navfilter.arma.algebra import add_arma
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import RandomWalk, Sum
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
-from navfilter.learning.bias import hand_over, plainer
-from navfilter.learning.drift import Drift
-from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
-from navfilter.learning.learner import Learner
-from navfilter.learning.limits import LONGEST_GAP
-from navfilter.learning.low_frequency import zero_frequency
-from navfilter.learning.rest import RestRecorder
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.model_reduction import hand_over, plainer
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
+from navfilter.learning.static_recorder import RestRecorder
+from navfilter.learning.zero_frequency import zero_frequency
+from navfilter.models.error_models import RandomWalk, Sum
+from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
+from navfilter.models.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.window_limits import LONGEST_GAP
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import simulate
+from navfilter.timeseries.model import ArmaModel
+from navfilter.timeseries.polynomials import add_arma
 
 RATE_HZ, GRAVITY = 100.0, 9.80665
 PERIOD_S = 1.0 / RATE_HZ
@@ -196,7 +196,7 @@ def test_increments_are_learnt_as_rates():
 
 
 def test_power_that_drives_a_pole_is_that_of_its_part():
-    from navfilter.learning.bias import _driving_variance
+    from navfilter.learning.model_reduction import _driving_variance
 
     both = add_arma([ArmaModel([-0.9995], [], 0.01), ArmaModel([-1.2, 0.7], [0.3], 1.0)])
     assert _driving_variance(both, 0.9995) == pytest.approx(1e-4, rel=1e-6)

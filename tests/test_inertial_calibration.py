@@ -8,12 +8,12 @@ from feeding import events_of, one_by_one
 import navfilter as nf
 from navfilter.calibration.parts import constants_of
 from navfilter.check.plausibility import check_vehicle
-from navfilter.evaluation.constants import constants
-from navfilter.filter.layout import Layout
+from navfilter.evaluation.calibration_states import constants
+from navfilter.filter.state_layout import Layout
 from navfilter.io import write_vehicle
 from navfilter.kernels import strapdown
-from navfilter.mechanisation.imu import CROSSED
-from navfilter.sensors import Attitude
+from navfilter.models.mechanisation.imu import CROSSED
+from navfilter.models.sensors import Attitude
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, SpiralDive, Straight, Turn
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.simulate import StartErrors, simulate

@@ -13,18 +13,18 @@ import pytest
 from small_run import small_run
 
 from navfilter.evaluation.assessment import assess
-from navfilter.filter.tape import OUTCOMES
+from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import labelled
-from navfilter.learning.learned import LearnedArma
-from navfilter.playback import replay
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.playback.replay import replay
+from navfilter.rendering.clock import Clock, clock_of
+from navfilter.rendering.drawing import draw, style
+from navfilter.rendering.page import Section, page
+from navfilter.rendering.panels import Band, Line, Mark, Panel, Stack, extent, legend_of
 from navfilter.report import figures
-from navfilter.report.clock import Clock, clock_of
-from navfilter.report.drawing import draw, style
 from navfilter.report.instrument import Instrument
 from navfilter.report.live import live_stack, plain
 from navfilter.report.marks import marks, outages
-from navfilter.report.page import Section, page
-from navfilter.report.panels import Band, Line, Mark, Panel, Stack, extent, legend_of
 from navfilter.report.report import render_report
 from navfilter.simulation.scenarios import simulate_scenario
 

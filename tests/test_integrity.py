@@ -11,7 +11,7 @@ from feeding import once_a_second
 from test_agreement import DIVE_S, FAULT_S, RADIUS_M, altered, dive, fly, turned
 
 import navfilter as nf
-from navfilter.filter.integrity import IN_LINE, IN_PLANE, Trust, bounds, trust, whole_offset
+from navfilter.faults.protection_level import IN_LINE, IN_PLANE, Trust, bounds, trust, whole_offset
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.service.protocol import state_fields, to_line
 from navfilter.simulation.faults import Faults

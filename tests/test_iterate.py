@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
-from navfilter.cli import main
-from navfilter.error_models import block_level
+from navfilter.commands.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learning.drift import Drift
-from navfilter.learning.learned import LearnedArma, learned_part, learning_part
-from navfilter.learning.learner import Learner
-from navfilter.learning.low_frequency import zero_frequency
-from navfilter.learning.refit import change
-from navfilter.learning.spectrum import Spectrum
-from navfilter.playback import SETTLED, identified, replay
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.batch import change
+from navfilter.learning.zero_frequency import zero_frequency
+from navfilter.models.error_models import block_level
+from navfilter.models.learned_arma import LearnedArma, learned_part, learning_part
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.spectrum import Spectrum
+from navfilter.models.state import wrap
+from navfilter.playback.replay import SETTLED, identified, replay
 from navfilter.simulation.scenarios import survey_vehicle, transit
 from navfilter.simulation.simulate import simulate
-from navfilter.state import wrap
+from navfilter.timeseries.model import ArmaModel
 
 PERIOD_S, TRUE = 0.125, nf.GaussMarkov(sd=0.01, tau_s=30.0)
 ORDERS = ((0, 0), (1, 0), (1, 1))

@@ -11,7 +11,7 @@ import pytest
 
 import navfilter as nf
 from navfilter.filter.events import Correction
-from navfilter.kernels import jumps
+from navfilter.kernels import bias_glr
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -71,11 +71,11 @@ def test_the_kernels_and_their_twins(dive):
         bank[:, -1] = 1.3
         args = channel.mem, channel.dims, channel.places, offset, len(ratios) % 3 != 0
         mine, twin = bank.copy(), bank.copy()
-        ratios.append(jumps.hear_jumps(mine, *args))
+        ratios.append(bias_glr.hear_jumps(mine, *args))
         np.testing.assert_allclose(naive.hear_jumps(twin, *args), ratios[-1], rtol=1e-9)
         np.testing.assert_allclose(mine[:-2], twin[:-2], rtol=1e-9, atol=1e-9)
         Phi = channel.transition.copy()
-        jumps.carry_jumps(mine, Phi)
+        bias_glr.carry_jumps(mine, Phi)
         naive.carry_jumps(twin, Phi)
         np.testing.assert_allclose(mine[:-2], twin[:-2], rtol=1e-9, atol=1e-9)
 

@@ -5,10 +5,10 @@ import gc
 import numpy as np
 import pytest
 
-from navfilter.filter.history import Reading
-from navfilter.filter.intake import joined
-from navfilter.filter.memory import from_arrays, to_arrays
-from navfilter.learning.kept import PIECE, Kept, Rows
+from navfilter.filter.imu_intake import joined
+from navfilter.foundation.state_values import from_arrays, to_arrays
+from navfilter.learning.input_buffer import PIECE, Kept, Rows
+from navfilter.navigation.history import Reading
 
 NAMES = ("compass", "dvl", "gps")
 

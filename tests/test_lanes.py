@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.filter.lane_choice import FULL, MARGIN, STEP_S, Choice
-from navfilter.filter.memory import differences
+from navfilter.faults.lane_selection import FULL, MARGIN, STEP_S, Choice
+from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.io.json_lines import LineParser
-from navfilter.mission import Stream
+from navfilter.models.mission import Stream
 from navfilter.service.session import Options, Session
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle

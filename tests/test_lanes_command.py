@@ -5,12 +5,12 @@ import json
 import pytest
 from live_run import as_lines, run_session, states
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.evaluation.assessment import assess
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.io.write import labelled, summarise
-from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.playback import identified, replay, residual_series
+from navfilter.models.learned_arma import LearnedArma, learned_part
+from navfilter.playback.replay import identified, replay, residual_series
 from navfilter.report.lane_figures import lane_figure, lane_rows
 from navfilter.report.marks import marks
 from navfilter.service.session import Options

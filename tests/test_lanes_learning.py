@@ -7,10 +7,10 @@ import pytest
 from test_lanes import changed, fed, swapped, vehicle_of
 
 import navfilter as nf
-from navfilter.filter.lane_choice import MARGIN, STEP_S, Choice
-from navfilter.filter.tape import Tape
-from navfilter.lane_replay import LaneReplay
+from navfilter.faults.lane_selection import MARGIN, STEP_S, Choice
+from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.navigation.lanes.replay import LaneReplay
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey
 from navfilter.simulation.simulate import simulate

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import GaussMarkov, per_axis
 from navfilter.io import read_vehicle
 from navfilter.io.learned_toml import write_learned
-from navfilter.learning.learned import learned_part, with_learned
+from navfilter.models.error_models import GaussMarkov, per_axis
+from navfilter.models.learned_arma import learned_part, with_learned
+from navfilter.timeseries.model import ArmaModel
 
 MODEL = ArmaModel([-1.9, 0.95], [0.3], 0.001, 1e-4 * np.eye(3), 0.2, 3900.0, frozenset({"fallback"}))
 OTHER = ArmaModel([-0.5], [], 0.002)

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from navfilter.arma.algebra import add_arma
-from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.error_models import CORRELATION_CONSTANTS
-from navfilter.filter.memory import from_arrays, to_arrays
-from navfilter.learning.drift import Drift
-from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.foundation.state_values import from_arrays, to_arrays
+from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.likelihood import Likelihood, maximise
-from navfilter.learning.nearest import slow_psd
-from navfilter.learning.posterior import Line
-from navfilter.learning.slow import SlowPrior
+from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.slow_posterior import Line
+from navfilter.learning.slow_prior import SlowPrior
 from navfilter.learning.spikes import without_spikes
+from navfilter.models.error_models import CORRELATION_CONSTANTS
+from navfilter.models.navigation_drift import Drift
+from navfilter.timeseries.model import ArmaModel, simulate_arma
+from navfilter.timeseries.polynomials import add_arma
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.learning.learned import learned_part
+from navfilter.models.learned_arma import learned_part
+from navfilter.models.state import wrap
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
-from navfilter.state import wrap
 
 DEG = math.pi / 180.0
 TRUE = nf.GaussMarkov(sd=0.5 * DEG, tau_s=10.0, order=2) + nf.White(sd=0.05 * DEG)

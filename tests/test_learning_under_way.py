@@ -17,22 +17,22 @@ from feeding import events_of, in_blocks, one_by_one
 from scipy.stats import chi2
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
-from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
-from navfilter.learning.learner import Learner, Look
-from navfilter.learning.learnt import Learnt
+from navfilter.learning.axis_learner import Learner, Look
+from navfilter.learning.learned_model import Learnt
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.learning.spectrum import Spectrum
 from navfilter.learning.spikes import without_spikes
-from navfilter.playback import residual_series
+from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
+from navfilter.models.spectrum import Spectrum
+from navfilter.playback.replay import residual_series
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Lawnmower
 from navfilter.simulation.scenarios import SCENARIOS, dive, survey_vehicle
 from navfilter.simulation.simulate import simulate
 from navfilter.simulation.studies import USUAL
+from navfilter.timeseries.model import ArmaModel
 
 DEG = np.pi / 180.0
 GYROS = ("tactical", "mems")

@@ -11,11 +11,11 @@ import pytest
 from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
-from navfilter.kernels import kalman, listen
-from navfilter.learning.drift import Drift
-from navfilter.learning.limits import LONGEST_GAP
-from navfilter.mission import Stream
-from navfilter.playback import residual_series
+from navfilter.kernels import kalman, open_loop_residual
+from navfilter.models.mission import Stream
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.window_limits import LONGEST_GAP
+from navfilter.playback.replay import residual_series
 from navfilter.simulation.faults import draw_errors
 from navfilter.simulation.scenarios import survey_vehicle, transit, turns_and_dives
 from navfilter.simulation.simulate import simulate
@@ -27,7 +27,7 @@ def test_carry():
     rng = np.random.default_rng(1)
     for m in (9, 10, 15):
         Phi = np.eye(m) + 0.1 * rng.normal(size=(m, m))
-        ours, twins = run_both(listen.carry, rng.normal(size=2 * m + 2), Phi)
+        ours, twins = run_both(open_loop_residual.carry, rng.normal(size=2 * m + 2), Phi)
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
@@ -37,25 +37,36 @@ def test_attend(usual, learning):
     rng = np.random.default_rng(3)
     told = []
     for _ in range(200):
-        ear = np.zeros(listen.EAR)
-        ear[[listen.CAPACITY, listen.DUE, listen.JUDGED]] = 20, rng.integers(90), rng.integers(40)
-        ear[[listen.NOTED, listen.WATCHED, listen.USUAL]] = rng.integers(20), rng.integers(2), usual
-        ear[[listen.SHARE, listen.NIS]] = 0.1, usual * rng.uniform(0.2, 4.0)
+        ear = np.zeros(open_loop_residual.EAR)
+        ear[[open_loop_residual.CAPACITY, open_loop_residual.DUE, open_loop_residual.JUDGED]] = (
+            20,
+            rng.integers(90),
+            rng.integers(40),
+        )
+        ear[[open_loop_residual.NOTED, open_loop_residual.WATCHED, open_loop_residual.USUAL]] = (
+            rng.integers(20),
+            rng.integers(2),
+            usual,
+        )
+        ear[[open_loop_residual.SHARE, open_loop_residual.NIS]] = 0.1, usual * rng.uniform(0.2, 4.0)
         nis = math.nan if rng.random() < 0.1 else rng.exponential(40.0)
         args = ear, nis, float(rng.integers(4)), int(rng.integers(1, 40)), learning
-        ours, twins = run_both(listen.attend, *args)
+        ours, twins = run_both(open_loop_residual.attend, *args)
         assert_close([ours[0]], [twins[0]], 1e-15)
-        told.append(listen.attend(ear, *args[1:]))
+        told.append(open_loop_residual.attend(ear, *args[1:]))
     assert not any(told) if not learning else 20 < sum(told) < 180
 
 
 @pytest.mark.parametrize("used", [True, False])
 @pytest.mark.parametrize("gravity", [9.81, 0.0])
-@pytest.mark.parametrize("kind", [listen.NOTHING, listen.HEADING, listen.POSITION, listen.VELOCITY])
+@pytest.mark.parametrize(
+    "kind",
+    [open_loop_residual.NOTHING, open_loop_residual.HEADING, open_loop_residual.POSITION, open_loop_residual.VELOCITY],
+)
 @pytest.mark.parametrize("told", ["", "constants", "still", "asked"])
 def test_listen(kind, gravity, used, told):
     rng = np.random.default_rng(2)
-    a = 1 if kind == listen.HEADING else 3
+    a = 1 if kind == open_loop_residual.HEADING else 3
     rows = a + 1 + (a + 1) * (told == "constants")
     facts = 1e3 * (told == "still"), 0.7 * (told == "constants"), 0.0, rows, told == "asked"
     for ticks, cursor in ((1, 0), (4, 6), (30, 17)):
@@ -82,12 +93,14 @@ def test_listen(kind, gravity, used, told):
             rng.normal(size=(6, m - 8)),
             gravity,
         )
-        ours, twins = run_both(listen.listen, *args)
+        ours, twins = run_both(open_loop_residual.listen, *args)
         assert_close([ours[0][[*range(m + 9), -2, -1]]], [twins[0][[*range(m + 9), -2, -1]]], 1e-13)
         np.testing.assert_array_equal(np.isnan(ours[9]), np.isnan(twins[9]))
         assert_close([np.nan_to_num(ours[9])], [np.nan_to_num(twins[9])], 1e-13)
         np.testing.assert_array_equal(ours[10], twins[10])
-        np.testing.assert_array_equal(ours[10], cursor + (0 if kind == listen.NOTHING else min(ticks - 1, 8) + 1))
+        np.testing.assert_array_equal(
+            ours[10], cursor + (0 if kind == open_loop_residual.NOTHING else min(ticks - 1, 8) + 1)
+        )
 
 
 # ---------------------------------------------------------------- a mission whose errors are known

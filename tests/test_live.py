@@ -17,7 +17,7 @@ import same_runs
 from feeding import DRIVE, Event, events_of, in_blocks, one_by_one
 
 import navfilter as nf
-from navfilter.filter.memory import differences
+from navfilter.foundation.state_values import differences
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import tactical_imu

@@ -11,9 +11,9 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.survey import survey
-from navfilter.mission import MissionError
+from navfilter.io.logs.topic_names import Wanted
+from navfilter.models.mission import MissionError
 
 mavutil = pytest.importorskip(
     "pymavlink.mavutil", reason='pymavlink is not installed: pip install "navfilter[ardupilot]"'

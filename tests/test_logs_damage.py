@@ -6,7 +6,7 @@ import random
 import pytest
 
 from navfilter.io.logs.survey import survey, survey_text
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 for package, extra in (("rosbags", "ros"), ("pynmeagps", "nmea"), ("pyulog", "px4"), ("pymavlink", "ardupilot")):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install "navfilter[{extra}]"')

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io.logs import FORMATS, formats
-from navfilter.io.logs.known import READINGS
+from navfilter.io.logs.known_topics import READINGS
 from navfilter.io.logs.survey import survey, survey_text
 from navfilter.io.mission_schema import mission_spec
 from navfilter.io.validation import validate
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 for package, extra in (("rosbags", "ros"), ("pynmeagps", "nmea"), ("pyulog", "px4"), ("pymavlink", "ardupilot")):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install "navfilter[{extra}]"')
@@ -145,6 +145,6 @@ def test_every_format_is_in_the_manual_and_every_row_has_its_format():
     text = (Path(__file__).parents[1] / "docs" / "pages" / "logs.md").read_text(encoding="utf-8")
     for known in FORMATS:
         assert all(f"`{ending}`" in text for ending in known.suffixes), known.title
-    rows = tomllib.loads((Path(formats.__file__).parent / "known.toml").read_text(encoding="utf-8"))["use"]
+    rows = tomllib.loads((Path(formats.__file__).parent / "known_topics.toml").read_text(encoding="utf-8"))["use"]
     assert {row["format"] for row in rows} == {known.module for known in FORMATS}
     assert {row["reading"] for row in rows} <= set(READINGS)

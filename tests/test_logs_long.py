@@ -5,9 +5,9 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf
+from navfilter.io.row_conditions import Where
 from navfilter.io.tables import TableOptions, read_table
-from navfilter.io.where import Where
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 ALOG = """\
 %% LOG FILE:       ./MOOSLog_6_6_2021_____12_00_00.alog

@@ -10,9 +10,9 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf, format_of, nmea
+from navfilter.io.row_conditions import Where
 from navfilter.io.tables import TableOptions, read_table
-from navfilter.io.where import Where
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 pytest.importorskip("pynmeagps", reason='pynmeagps is not installed: pip install "navfilter[nmea]"')
 

@@ -5,7 +5,7 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 pytest.importorskip("pyulog", reason='pyulog is not installed: pip install "navfilter[px4]"')
 

@@ -5,10 +5,10 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf
+from navfilter.io.row_conditions import Where
 from navfilter.io.series import read_series
 from navfilter.io.tables import TableOptions, read_table
-from navfilter.io.where import Where
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2", reason='rosbags is not installed: pip install "navfilter[ros]"')
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402

@@ -5,7 +5,7 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf, format_of
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 GLIDER = "../glider-slocum-ru28/ru28_2017_113_3_0_dbd.dat.xz"
 

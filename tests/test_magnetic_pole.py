@@ -11,7 +11,7 @@ import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.check.description import describe_vehicle
 from navfilter.evaluation.assessment import assess
-from navfilter.magnetic import north
+from navfilter.models.magnetic import north
 from navfilter.simulation import presets
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn

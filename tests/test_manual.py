@@ -8,16 +8,15 @@ from pathlib import Path
 import pytest
 
 import navfilter
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import mission_schema as schema
 from navfilter.io.contents import FORMS, TRUTH_ONLY, groups
+from navfilter.io.tracks.formats import FORMATS
 from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
-from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
-from navfilter.outputs.formats import FORMATS
-from navfilter.sensors import (
+from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
+from navfilter.models.sensors import (
     Altitude,
     Attitude,
     BodyVelocity,
@@ -33,8 +32,9 @@ from navfilter.sensors import (
     WaterVelocity,
     ZeroVelocity,
 )
-from navfilter.sensors.traits import kinds_below
-from navfilter.vehicle import Vehicle
+from navfilter.models.sensors.traits import kinds_below
+from navfilter.models.vehicle import Vehicle
+from navfilter.timeseries.model import ArmaModel
 
 ROOT = Path(__file__).parent.parent
 MANUAL = ROOT / "docs" / "pages"
@@ -188,7 +188,7 @@ def test_every_key_of_vehicle_toml_is_described(heading):
 def test_every_kind_of_vehicle_toml_is_described():
     """Also those that a newer class brings."""
     from navfilter.io.vehicle_toml import _ADOPTED, _concrete, _kinds
-    from navfilter.mechanisation import Mechanisation
+    from navfilter.models.mechanisation import Mechanisation
 
     def own(base):
         found = _concrete(base, _kinds())

@@ -11,9 +11,9 @@ import pytest
 from test_passage import assert_same, survey
 
 import navfilter as nf
+from navfilter.foundation.mapped_arrays import give_back, mapped
 from navfilter.io import containers
-from navfilter.mapped import give_back, mapped
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 
 def on_disk(array, path, mode):

@@ -9,8 +9,8 @@ from kernel_inputs import random_nav, readings
 
 import navfilter as nf
 from navfilter.kernels import measurement
-from navfilter.sensors import Sensor
-from navfilter.state import NavState, matrix_from_euler
+from navfilter.models.sensors import Sensor
+from navfilter.models.state import NavState, matrix_from_euler
 
 STEPS = np.array(
     [10.0] * 3 + [0.1] * 3 + [1e-3] * 3

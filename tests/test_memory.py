@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.error_models import ErrorModel
-from navfilter.filter.memory import copied, differences, from_arrays, misfit, to_arrays
+from navfilter.foundation.state_values import copied, differences, from_arrays, misfit, to_arrays
+from navfilter.models.error_models import ErrorModel
 
 
 @dataclass

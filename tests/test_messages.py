@@ -2,7 +2,7 @@
 
 import pytest
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.simulation.scenarios import simulate_scenario
 

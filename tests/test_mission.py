@@ -16,8 +16,8 @@ from navfilter.io import geodesy, read_mission
 from navfilter.io.table import Table
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.trust import expand
-from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
-from navfilter.start import Start
+from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
+from navfilter.models.start import Start
 
 ALL_RECORDINGS = sorted(
     str(path.parent.relative_to(Path(__file__).parent / "recordings"))

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.evaluation.montecarlo import campaign as campaigns
 from navfilter.evaluation.montecarlo import workers
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign, run_seed
@@ -307,8 +307,8 @@ def test_files_say_the_same_as_the_results(small, tmp_path):
 
 def test_scores_are_those_of_the_track(small):
     """Against `Track.summary`, which goes another way."""
-    from navfilter.evaluation.rivals import rivals
-    from navfilter.playback import replay
+    from navfilter.evaluation.baselines import rivals
+    from navfilter.playback.replay import replay
 
     staged = SMALL.staged
     mission = staged.mission(4)

@@ -12,8 +12,8 @@ import same_runs
 from feeding import DRIVE, Event, one_by_one
 
 import navfilter as nf
-from navfilter.filter.smoother import smooth_rows
-from navfilter.filter.tape import OUTCOMES
+from navfilter.filter.records import OUTCOMES
+from navfilter.filter.rts_smoother import smooth_rows
 
 DEG = np.pi / 180.0
 START = nf.Start(
@@ -389,7 +389,9 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
 
 @pytest.mark.parametrize("build", VEHICLES.values(), ids=VEHICLES.keys())
 def test_a_spooled_tape_smooths_to_the_same_bits_and_thinning_changes_nothing(build, monkeypatch):
-    monkeypatch.setattr("navfilter.filter.spool.Spool.CHUNK", 1 << 11)  # 16 KiB, so that a short run has many chunks
+    monkeypatch.setattr(
+        "navfilter.filter.record_store.Spool.CHUNK", 1 << 11
+    )  # 16 KiB, so that a short run has many chunks
     results = []
     for memory_bytes, rate in ((1 << 30, None), (0, None), (0, 2.0)):
         tape = nf.Tape(output_rate_hz=rate, memory_bytes=memory_bytes)

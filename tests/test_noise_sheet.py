@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.cli import main
-from navfilter.diagnostics import allan_edf
+from navfilter.commands.cli import main
 from navfilter.identification.allan_curve import allan_curve
-from navfilter.identification.bands import bands_of, shape
-from navfilter.identification.lines import spectral_lines
+from navfilter.identification.cosine_spectrum import bands_of, shape
 from navfilter.identification.noise_choice import drive_terms, sheet_terms, upper_limit, usable
 from navfilter.identification.noise_sheet import NotAtRest, noise_sheet, quantisation
+from navfilter.identification.noise_sheet_text import plus_minus, sheet_text
 from navfilter.identification.noise_terms import fit_terms
-from navfilter.identification.sheet_words import plus_minus, sheet_text
-from navfilter.identification.stillness import moving_together, stillness
+from navfilter.identification.spectral_lines import spectral_lines
+from navfilter.identification.static_detection import moving_together, stillness
 from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
 from navfilter.io.series import on_a_grid
 from navfilter.io.tables import TableOptions
-from navfilter.mission import Mission, MissionError, Stream
+from navfilter.models.mission import Mission, MissionError, Stream
+from navfilter.timeseries.diagnostics import allan_edf
 
 DEG, HOUR = np.pi / 180.0, 3600.0
 RATE = 50.0

@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from navfilter.arma.fit import fit_arma
-from navfilter.arma.model import simulate_arma
-from navfilter.arma.online.recursive import RecursiveArma
+from navfilter.timeseries.fit import fit_arma
+from navfilter.timeseries.model import simulate_arma
+from navfilter.timeseries.online.recursive import RecursiveArma
 
 NON_SPR = ([0.9, 0.95], [1.5, 0.75])
 MODELS = {
@@ -251,7 +251,7 @@ def test_wrong_arguments_are_named(arguments, message):
 
 def test_each_kernel_keeps_one_signature():
     # A second one is compiled when an argument has another layout: on a vehicle a pause of seconds.
-    from navfilter.kernels import arma as kernel
+    from navfilter.kernels import recursive_arma as kernel
 
     frozen = simulate_arma([-0.8], [0.3], 1.0, 600, seed=28)
     frozen.setflags(write=False)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navfilter.arma.model import simulate_arma
-from navfilter.arma.online.bank import ArmaBank
-from navfilter.arma.online.recursive import RecursiveArma
+from navfilter.timeseries.model import simulate_arma
+from navfilter.timeseries.online.order_bank import ArmaBank
+from navfilter.timeseries.online.recursive import RecursiveArma
 
 BASE = simulate_arma([-0.9], [0.4], 1.0, 1500, seed=51)
 

@@ -11,7 +11,7 @@ from faults_run import dived, truth_at
 from feeding import DRIVE
 
 import navfilter as nf
-from navfilter.filter.offsets import Offset, deviations, offset_states, with_offsets
+from navfilter.models.fault_bias import Offset, deviations, offset_states, with_offsets
 from navfilter.simulation.scenarios import COMPASS, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 

@@ -10,10 +10,10 @@ from geographiclib.geodesic import Geodesic
 from scipy.spatial.transform import Rotation
 from small_run import small_run
 
+from navfilter.io.tracks import table
+from navfilter.io.tracks.formats import write_track
+from navfilter.io.tracks.tum import write_truth
 from navfilter.io.write import labelled, summarise, write_outputs, write_summary
-from navfilter.outputs import table
-from navfilter.outputs.formats import write_track
-from navfilter.outputs.tum import write_truth
 
 RUN_KEYS = [
     "position_rms_m",

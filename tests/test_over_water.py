@@ -8,7 +8,7 @@ import same_runs
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.evaluation.constants import constants
+from navfilter.evaluation.calibration_states import constants
 from navfilter.io import write_vehicle
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, Straight, Turn
@@ -76,7 +76,7 @@ def test_a_current_that_turns_is_carried_on(current):
 
 def test_states_of_a_current_are_its_process():
     """The parameter is the sum of the parts: its variance, and how the filter's block repeats the model's own."""
-    from navfilter.filter.layout import Layout
+    from navfilter.filter.state_layout import Layout
 
     vehicle = vehicle_of(current=TIDE, scale_sd=0.02)
     group, block = Layout.of(vehicle).drive, TIDE.block(1.0)

@@ -9,7 +9,7 @@ import pytest
 import navfilter as nf
 from navfilter.calibration.parts import constants_of
 from navfilter.calibration.passes import again, smoothed
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion

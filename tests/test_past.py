@@ -7,10 +7,11 @@ import pytest
 from kernel_inputs import assert_close, random_nav, readings, run_both, spd, uncalibrated_drive
 
 import navfilter as nf
-from navfilter.filter.sight import Sight
-from navfilter.kernels import addresses, measurement, past, strapdown
-from navfilter.kernels.addresses import address
-from navfilter.state import NavState, matrix_from_euler
+from navfilter.filter.delayed_measurement import Sight
+from navfilter.kernels import delayed_state, measurement, strapdown
+from navfilter.kernels.compiling import addresses
+from navfilter.kernels.compiling.addresses import address
+from navfilter.models.state import NavState, matrix_from_euler
 
 START = nf.Start(latitude_deg=50.0, longitude_deg=5.0)
 ARM = {"lever_arm_b_m": (0.5, -0.2, 0.3), "lever_arm_sd_m": (0.3, 0.2, 0.1)}
@@ -34,7 +35,7 @@ def looked(sensor, clock):
     sensor = replace(sensor, time_offset_sd_s=clock)
     sight = Sight(sensor, START)
     equation = address(sensor.kernel, addresses.EQUATION)
-    return sensor, sight, (equation, address(past.inertial_motion, addresses.MOTION), sight.facts)
+    return sensor, sight, (equation, address(delayed_state.inertial_motion, addresses.MOTION), sight.facts)
 
 
 def steady(rng, elements=()):
@@ -57,10 +58,10 @@ def test_outputs_and_inertial_motion(increments, elements):
     recent[:, 1:] += rng.normal(size=(300, 6))
     recent[250:, 0] = 0.0
     shape = (6, len(xd))
-    ours, twins = run_both(past.drive_outputs, drv, Cr, xd, np.zeros(shape), np.zeros(6))
+    ours, twins = run_both(delayed_state.drive_outputs, drv, Cr, xd, np.zeros(shape), np.zeros(6))
     assert_close(ours, twins, 1e-13)
     ours, twins = run_both(
-        past.inertial_motion, recent, random_nav(rng), drv, ours[-1], np.zeros((301, 7)), np.zeros(1)
+        delayed_state.inertial_motion, recent, random_nav(rng), drv, ours[-1], np.zeros((301, 7)), np.zeros(1)
     )
     assert_close(ours[-2:], twins[-2:], 1e-13)
 
@@ -74,7 +75,7 @@ def test_reckoned_motion(known):
     recent[known:] = 0.0
     recent[3:5, 5] = np.nan, 99.0  # lost
     args = recent, random_nav(rng), drv, np.zeros(6), np.ones((41, 7)), np.ones(1)
-    ours, twins = run_both(past.reckoned_motion, *args)
+    ours, twins = run_both(delayed_state.reckoned_motion, *args)
     assert_close(ours[-2:], twins[-2:], 1e-12)
     assert bool(ours[-2].any()) == (known > 1)
 
@@ -98,7 +99,7 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, in
     into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)
     here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
     pushes = 1e-4 * np.array([[2.0, 0.5, -0.2], [0.5, 1.0, 0.1], [-0.2, 0.1, 0.3]])
-    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into)
+    ours, twins = run_both(delayed_state.sight, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into)
     assert_close(ours[-4:], twins[-4:], 1e-9)  # quotients over 1e-3 of rounding
     imu = nf.Imu(rate_hz=100.0)
     outputs, errors = imu.outputs(Cr, drv, xd)
@@ -123,7 +124,7 @@ def test_a_component_that_is_missing_has_the_slopes_of_one_that_is_read(kind, cl
         z, near, res = np.array(KINDS[kind][1]), np.zeros((a, 9 + len(par))), np.zeros(a)
         z[list(missing)] = np.nan
         here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START), recent, drv, Cr, xd, 0.05, 0.01
-        past.sight(*head, *here, np.zeros((3, 3)), np.zeros((a, 9 + len(xd))), near, res, np.eye(a))
+        delayed_state.sight(*head, *here, np.zeros((3, 3)), np.zeros((a, 9 + len(xd))), near, res, np.eye(a))
         found.append((near, res))
     (near, res), (less, left) = found
     np.testing.assert_allclose(less, near, atol=1e-9)
@@ -148,7 +149,7 @@ def test_jacobians_of_sight_equal_finite_differences(kind, clock):
     def residual(state, par):
         near, res, H = np.zeros((a, 9 + len(par))), np.zeros(a), np.zeros((a, 9 + len(xd)))
         here = z, state.pack(), rate, par, sensor.constants(START)
-        past.sight(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a))
+        delayed_state.sight(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a))
         return near, res
 
     if kind == "position":

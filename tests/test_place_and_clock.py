@@ -10,17 +10,17 @@ from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
-from navfilter.filter.history import Reading
-from navfilter.filter.memory import differences
-from navfilter.filter.sight import Sight, by_drive
+from navfilter.filter.delayed_measurement import Sight, by_drive
+from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
-from navfilter.kernels.past import SLOPE_S, WINDOW_S
+from navfilter.kernels.delayed_state import SLOPE_S, WINDOW_S
+from navfilter.models.state import NavState, matrix_from_euler
+from navfilter.navigation.history import Reading
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
-from navfilter.state import NavState, matrix_from_euler
 
 STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
 NONE = np.zeros((6, 0))

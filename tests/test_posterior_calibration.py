@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-import navfilter.learning.learner as learner_module
-from navfilter.learning.drift import Drift
-from navfilter.learning.learner import Learner
-from navfilter.learning.nearest import slow_psd
-from navfilter.learning.slow import SlowPrior
+import navfilter.learning.axis_learner as learner_module
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.slow_prior import SlowPrior
+from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.faults import draw_error
 
 PERIOD_S, WINDOW, WHITE = 0.5, 1000, 0.2

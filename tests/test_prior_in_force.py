@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.filter.layout import Layout
-from navfilter.learning.learned import as_described
+from navfilter.filter.state_layout import Layout
+from navfilter.models.learned_arma import as_described
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu
 from navfilter.simulation.scenarios import lawnmower

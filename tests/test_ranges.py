@@ -14,7 +14,7 @@ from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
 from navfilter.kernels import measurement
-from navfilter.sensors.ranges import earth_fixed
+from navfilter.models.sensors.ranges import earth_fixed
 from navfilter.simulation import presets
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion

@@ -19,7 +19,7 @@ from navfilter.io import VehicleError, read_mission, read_vehicle
 from navfilter.io.columns import LATEST_S
 from navfilter.io.mat5 import check_mat5
 from navfilter.io.tables import TableOptions, read_table
-from navfilter.mission import Mission, MissionError, Stream
+from navfilter.models.mission import Mission, MissionError, Stream
 
 # One folder serves all examples of a test: each example overwrites its files.
 QUICK = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -9,7 +9,7 @@ from live_run import as_lines, run_session, states
 
 import navfilter as nf
 from navfilter.filter.filter import CODES
-from navfilter.mission import Mission, MissionError, Stream
+from navfilter.models.mission import Mission, MissionError, Stream
 from navfilter.service.session import Options
 from navfilter.simulation.scenarios import simulate_scenario
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.cli import _parser, main
+from navfilter.commands.cli import _parser, main
 from navfilter.commands.replay import save
 from navfilter.io import read_vehicle
 from navfilter.io.json_lines import LineParser, Reading

@@ -9,15 +9,15 @@ import same_runs
 from feeding import DRIVE, Event, delayed, events_of, in_blocks, one_by_one
 
 import navfilter as nf
-from navfilter import passage
-from navfilter.filter import realignment
-from navfilter.filter.intake import Intake
-from navfilter.kernels import drive_watch as kernel
+from navfilter.faults.imu import realignment
+from navfilter.filter.imu_intake import Intake
+from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
+from navfilter.models.state import NavState, matrix_from_euler, rotation_matrix
+from navfilter.navigation import batch_runner
 from navfilter.simulation.presets import tactical_imu
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario, survey_vehicle
 from navfilter.simulation.simulate import simulate
-from navfilter.state import NavState, matrix_from_euler, rotation_matrix
 
 DEG, METRES = math.pi / 180.0, 6.37e6
 SILENT = (60.0, 80.0)
@@ -60,7 +60,7 @@ def test_in_stretches_as_one_by_one(dive, sensors, smooth, monkeypatch):
     vehicle, mission = dive
     mission = without_drive(mission, sensors=sensors)
     together = nf.replay(vehicle, mission, smooth=smooth)
-    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
     alone = nf.replay(vehicle, mission, smooth=smooth)
     np.testing.assert_array_equal(together.covariance, alone.covariance)
     np.testing.assert_array_equal(together.latitude, alone.latitude)

@@ -10,11 +10,11 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter.course import Course, rather_drawn, seen_turned
-from navfilter.filter.offsets import has_offset
+from navfilter.faults.heading_fault import Course, rather_drawn, seen_turned
+from navfilter.models.fault_bias import has_offset
+from navfilter.models.state import wrap
 from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, survey
 from navfilter.simulation.simulate import simulate
-from navfilter.state import wrap
 
 END_S, DEG = 260.0, math.pi / 180.0
 ABOUT_DOWN = np.array([0.0, 0.0, 1.0])

@@ -12,9 +12,10 @@ import same_runs
 from feeding import DRIVE, events_of, once_a_second
 
 import navfilter as nf
-from navfilter.filter import gating, ramp, refused_way
-from navfilter.filter.refusals import Refusals
-from navfilter.filter.refused_way import RefusedWay, believable, followed, since_fix, with_refused
+from navfilter.faults import alternative_path, innovation_gate
+from navfilter.faults.alternative_path import RefusedWay, believable, followed, since_fix, with_refused
+from navfilter.faults.imu import acceleration
+from navfilter.faults.refusals import Refusals
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -194,9 +195,9 @@ def test_one_that_has_been_disputed_accuses_by_a_long_ramp_on_which_it_reads_the
     for age_s in 0.25 * np.arange(44):
         seen = np.array([residual(age_s), 0.0, 0.0]) + 0.01 * rng.normal(size=3)
         now = np.array([reading(age_s), 0.0, 0.0])
-        sums = ramp.with_refused(sums, age_s, seen, now)
-    slope = ramp.ramp_of(sums, np.full(3, 1e-4))
-    assert slope is not None and ramp.reads_the_same(sums, now, slope) is accused
+        sums = acceleration.with_refused(sums, age_s, seen, now)
+    slope = acceleration.ramp_of(sums, np.full(3, 1e-4))
+    assert slope is not None and acceleration.reads_the_same(sums, now, slope) is accused
 
 
 def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
@@ -208,16 +209,18 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
     for name, first, size in (("gps", 0, 90.0), ("dvl", 3, 8.0)):
         channels[name].memory.rejected_since_s = 89.0
         channels[name].near[:, first : first + 3], channels[name].note[3:6] = np.eye(3), (size, 0.0, 0.0)
-    assert gating.state_contradicted(channels.values(), 100.0)
-    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[[0, 3]]) == pytest.approx([100.0, 10.0])
+    assert innovation_gate.state_contradicted(channels.values(), 100.0)
+    assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[[0, 3]]) == pytest.approx([100.0, 10.0])
     channels["compass"].memory.agreed_s = 50.0  # nor is it asked of the heading then
-    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[6:]) == pytest.approx(gating.OPEN_ATTITUDE)
+    assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[6:]) == pytest.approx(
+        innovation_gate.OPEN_ATTITUDE
+    )
     channels["gps"].memory.rejected_since_s = 92.0
-    assert not gating.state_contradicted(channels.values(), 100.0)
+    assert not innovation_gate.state_contradicted(channels.values(), 100.0)
     # a residual of another unit says nothing, however long it lasts
     channels["gps"].memory.rejected_since_s, channels["dvl"].note[3:6] = 89.0, (1500.0, 0.0, 0.0)
-    assert not gating.state_contradicted(channels.values(), 100.0)
-    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[3]) == pytest.approx(2.0)
+    assert not innovation_gate.state_contradicted(channels.values(), 100.0)
+    assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[3]) == pytest.approx(2.0)
 
 
 def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
@@ -229,20 +232,22 @@ def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
     gps.memory.rejected_since_s, gps.note[3:6] = 89.0, (40.0, 0.0, 0.0)
     first = Refusals(True, False, (12.0, 0.0, 0.0), (40.0, 0.0, 0.0), (1.0,) * 3, (1.0,) * 3, 89.0, 99.0)
     gps.memory.refused = first
-    assert gating.state_contradicted(channels.values(), 100.0)
+    assert innovation_gate.state_contradicted(channels.values(), 100.0)
     # what grows as the square of the time is twice its mean velocity
-    assert np.sqrt(gating.reset_variance([gps], 100.0)[3]) == pytest.approx(2.0 + 80.0 / 11.0)
+    assert np.sqrt(innovation_gate.reset_variance([gps], 100.0)[3]) == pytest.approx(2.0 + 80.0 / 11.0)
     # a tilt that has taken it so far was 2 d / (g t^2); what fixes say of the heading a compass knows better
-    assert np.sqrt(gating.reset_variance([gps], 100.0)[6:]) == pytest.approx([80.0 / (9.81 * 11.0**2)] * 2 + [1.0])
+    assert np.sqrt(innovation_gate.reset_variance([gps], 100.0)[6:]) == pytest.approx(
+        [80.0 / (9.81 * 11.0**2)] * 2 + [1.0]
+    )
     channels["compass"].memory.agreed_s = 50.0
-    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[6:])[2] == 0.0
-    assert not gating.state_contradicted(channels.values(), 98.0)
+    assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[6:])[2] == 0.0
+    assert not innovation_gate.state_contradicted(channels.values(), 98.0)
     # not where a velocity is heard, or drives; nor fixes that have jumped
-    assert not gating.state_contradicted(channels.values(), 100.0, inertial=False)
+    assert not innovation_gate.state_contradicted(channels.values(), 100.0, inertial=False)
     gps.memory.refused = dataclasses.replace(first, first=(38.0, 0.0, 0.0))
-    assert not gating.state_contradicted(channels.values(), 100.0)
+    assert not innovation_gate.state_contradicted(channels.values(), 100.0)
     gps.memory.refused, channels["dvl"].memory.last_s = first, 99.9
-    assert not gating.state_contradicted(channels.values(), 100.0)
+    assert not innovation_gate.state_contradicted(channels.values(), 100.0)
 
 
 def test_the_track_has_the_bound_of_the_run():
@@ -282,5 +287,5 @@ def hand(nav, events):
 
 
 def test_a_stated_speed_is_the_most():
-    assert refused_way.most_speed(1.0, None) == 3.0 and refused_way.most_speed(4.0, None) == 8.0
-    assert refused_way.most_speed(4.0, 5.0) == 5.0
+    assert alternative_path.most_speed(1.0, None) == 3.0 and alternative_path.most_speed(4.0, None) == 8.0
+    assert alternative_path.most_speed(4.0, 5.0) == 5.0

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.commands.recordings import labels
 from navfilter.io import write_vehicle
 from navfilter.simulation.scenarios import simulate_scenario

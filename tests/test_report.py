@@ -18,16 +18,16 @@ from scipy.stats import chi2
 from small_run import small_run
 
 import navfilter
-from navfilter.filter.tape import OUTCOMES, Residuals
+from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.io.write import summarise
+from navfilter.rendering.clock import clock_of
+from navfilter.rendering.drawing import draw, style, svg
+from navfilter.rendering.thinning import broken, envelope, extremes, straightened
 from navfilter.report import figures
-from navfilter.report.clock import clock_of
-from navfilter.report.drawing import draw, style, svg
 from navfilter.report.plan_view import draw_plan, plan_view
 from navfilter.report.report import render_report, write_report
 from navfilter.report.run_tables import headline_table, sensor_table
 from navfilter.report.state_figures import shown_states, states_figure
-from navfilter.report.thinning import broken, envelope, extremes, straightened
 
 
 def images(page):

@@ -11,7 +11,7 @@ import shutil
 import pytest
 
 from navfilter.io.write import labelled
-from navfilter.playback import replay
+from navfilter.playback.replay import replay
 from navfilter.report.report import write_report
 from navfilter.simulation.scenarios import simulate_scenario
 

@@ -14,7 +14,7 @@ import pytest
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter.refused_way import RefusedWay
+from navfilter.faults.alternative_path import RefusedWay
 from navfilter.kernels import strapdown
 from navfilter.simulation.scenarios import simulate_scenario
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.arma.model import simulate_arma
-from navfilter.error_models import Sum
-from navfilter.evaluation import rivals as module
-from navfilter.evaluation.rivals import LEAST, MODELS, learnable, rival, rivals
-from navfilter.learning.drift import Drift
-from navfilter.learning.learned import LearnedArma
-from navfilter.learning.listener import ChannelSeries
-from navfilter.mission import Mission, Stream
+from navfilter.evaluation import baselines as module
+from navfilter.evaluation.baselines import LEAST, MODELS, learnable, rival, rivals
+from navfilter.learning.open_loop_series import ChannelSeries
+from navfilter.models.error_models import Sum
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.navigation_drift import Drift
+from navfilter.timeseries.model import simulate_arma
 
 PERIOD = 0.125
 PRIOR = nf.GaussMarkov(sd=0.02, tau_s=5.0)

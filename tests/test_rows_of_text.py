@@ -7,9 +7,9 @@ import pytest
 from kernel_inputs import run_both
 
 import navfilter as nf
-from navfilter.kernels import text
-from navfilter.outputs import rows, table
-from navfilter.outputs.rows import text_of_rows
+from navfilter.io.tracks import rows, table
+from navfilter.io.tracks.rows import text_of_rows
+from navfilter.kernels import number_text
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -42,10 +42,10 @@ def test_the_kernel_writes_what_python_writes(digits):
 def test_few_numbers_are_left_to_python():
     """Or nothing would be gained."""
     values, digits = np.random.default_rng(0).normal(size=20000), np.array([10, -7])
-    out, marks = np.empty(values.size * text.WIDEST, np.uint8), np.zeros((10000, 0), np.uint8)
+    out, marks = np.empty(values.size * number_text.WIDEST, np.uint8), np.zeros((10000, 0), np.uint8)
     given, left, done = np.zeros(0, np.uint8), 0, 0
     while done < values.size:
-        done, _ = text.rows_of_text(values, digits, marks, given, done, out)
+        done, _ = number_text.rows_of_text(values, digits, marks, given, done, out)
         left, given = left + (done < values.size), np.frombuffer(b"0.0", np.uint8).copy()
     assert left <= 5
 
@@ -56,8 +56,8 @@ def test_the_kernel_and_its_twin():
     for marks in (np.zeros((10, 0), np.uint8), rng.integers(65, 90, (10, 4)).astype(np.uint8)):
         given = np.frombuffer(b"1.25", np.uint8).copy()
         for arguments in ((values, digits, marks, given[:0], 0), (values, digits, marks, given, 5)):
-            out = np.zeros(40 * text.WIDEST, np.uint8)
-            ours, twins = run_both(text.rows_of_text, *arguments, out)
+            out = np.zeros(40 * number_text.WIDEST, np.uint8)
+            ours, twins = run_both(number_text.rows_of_text, *arguments, out)
             assert ours[-1].tobytes().rstrip(b"\0") == twins[-1].tobytes().rstrip(b"\0") != b""
 
 

@@ -9,7 +9,7 @@ import pytest
 from feeding import DRIVE, events_of
 
 import navfilter as nf
-from navfilter.sensors.sensor import LARGEST
+from navfilter.models.sensors.sensor import LARGEST
 from navfilter.simulation.scenarios import simulate_scenario
 
 BAD = ((60.0, 90.0), (150.0, 190.0))

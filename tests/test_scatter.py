@@ -9,11 +9,11 @@ from kernel_inputs import assert_close, random_nav, run_both, spd
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
-from navfilter import passage
-from navfilter.filter import slack
-from navfilter.filter.memory import copied, differences
-from navfilter.filter.scatter import Scatter
-from navfilter.kernels import scatter
+from navfilter.faults import allowed_change
+from navfilter.faults.noise_scale import Scatter
+from navfilter.foundation.state_values import copied, differences
+from navfilter.kernels import noise_scale
+from navfilter.navigation import batch_runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu, tactical_imu
 from navfilter.simulation.scenarios import lawnmower
@@ -59,7 +59,7 @@ def test_it_is_told_ends_with_the_noise_and_stretches_lives_and_snapshots_give_t
     assert whole.filter.memory.channels["dvl"].scatter is None
     track = nf.replay(vehicle, noisy, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
-    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, noisy).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, noisy, until_s=NOISE_S + 10.0)
     assert half.filter.memory.channels["dvl"].scatter.excess.any()
@@ -74,7 +74,12 @@ def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
     vehicle, mission = dive()
     nav, _ = fly(vehicle, altered(mission, "dvl", noise(0.1), NOISE_S), until_s=NOISE_S + 10.0)
     memory = nav.filter.memory
-    for change in ((scatter.COUNT, 1e9), (scatter.COUNT, math.nan), (scatter.NEXT, -1.0), (scatter.NEXT, 48.0)):
+    for change in (
+        (noise_scale.COUNT, 1e9),
+        (noise_scale.COUNT, math.nan),
+        (noise_scale.NEXT, -1.0),
+        (noise_scale.NEXT, 48.0),
+    ):
         other = copied(memory)
         noted = other.channels["dvl"].scatter.noted.copy()
         noted[change[0]] = change[1]
@@ -96,10 +101,10 @@ def test_a_velocity_in_another_unit_for_a_minute_is_as_good_as_none():
 
 def beyond(bends, white, slack=0.0):
     """By axis; empty where it is none in any."""
-    rows = np.zeros((scatter.MOST, 2 * len(white)))
+    rows = np.zeros((noise_scale.MOST, 2 * len(white)))
     rows[: len(bends)] = np.column_stack([bends, np.full_like(bends, slack)])
-    at, work = (len(bends), len(bends) - 1), np.zeros(3 * scatter.MOST)
-    excess = [scatter.beyond(rows, axis, *at, variance, work) for axis, variance in enumerate(white)]
+    at, work = (len(bends), len(bends) - 1), np.zeros(3 * noise_scale.MOST)
+    excess = [noise_scale.beyond(rows, axis, *at, variance, work) for axis, variance in enumerate(white)]
     return excess if any(excess) else ()
 
 
@@ -110,9 +115,9 @@ def beyond(bends, white, slack=0.0):
 def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, north):
     """A sensor that gets noisy, jumps in unit, is lost for a while, is heard wrong, and gets quiet again."""
     rng, unit = np.random.default_rng(seed), 0.02 if north >= 0 else 1.0  # headings within half a turn
-    kept, facts = np.zeros(scatter.size(axes)), np.zeros(scatter.facts_size(axes))
+    kept, facts = np.zeros(noise_scale.size(axes)), np.zeros(noise_scale.facts_size(axes))
     facts[:4], facts[4 : 4 + 2 * axes] = (lasting, kind, 0.2, 0.02), unit**2 * rng.uniform(0.1, 1.0, 2 * axes)
-    kept[scatter.TIME_S] = -math.inf
+    kept[noise_scale.TIME_S] = -math.inf
     Cr, P, nav = unit * rng.normal(size=(6, 5)) ** 2, unit * spd(rng, 14), random_nav(rng)
     noise = 3.0 * unit * rng.normal(size=(400, axes))
     noise[100:150] *= 5.0
@@ -131,20 +136,20 @@ def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, no
         residual = np.where(seen, residual, np.nan)
         mem = np.concatenate([S.ravel(), [nis, seen.sum(), used], residual, sd])
         time_s = 0.2 * k + (2.0 if k > 180 else 0.0)
-        if used and not kept[scatter.WATCHED]:
+        if used and not kept[noise_scale.WATCHED]:
             continue
         of = (mem, *places, R, north, P, nav, Cr, time_s, k == 121)
         own, twin = kept.copy(), kept.copy()
-        by_kernel, by_twin = scatter.heard(own, facts.copy(), *of), naive.heard(twin, facts.copy(), *of)
+        by_kernel, by_twin = noise_scale.heard(own, facts.copy(), *of), naive.heard(twin, facts.copy(), *of)
         assert by_kernel == pytest.approx(by_twin, rel=1e-9)
         # sums in another order, of differences of squares that leave a thousandth of them
         np.testing.assert_allclose(own, twin, rtol=1e-9, atol=1e-12)
         kept = own
-        ends += kept[scatter.TIME_S] == -math.inf
+        ends += kept[noise_scale.TIME_S] == -math.inf
         worthless += np.isinf(kept[6 + 2 * axes : 6 + 3 * axes]).any()
         added += bool(np.any(kept[6 + 2 * axes : 6 + 3 * axes]))
         variance = np.where(rng.random() > 0.5, np.nan, rng.uniform(1.0, 2.0, axes))
-        assert_close(*(args[1] for args in run_both(scatter.widen, kept, facts, variance, axes)))
+        assert_close(*(args[1] for args in run_both(noise_scale.widen, kept, facts, variance, axes)))
     assert added > 20 and (worthless > 5 or north >= 0) and ends > 0
 
 
@@ -153,7 +158,7 @@ def test_what_drive_may_have_added_is_what_refused_readings_are_judged_by(sensor
     """The same stands in the kernel, whose twin this is, and in Python for readings that are refused together."""
     rng = np.random.default_rng(3)
     P, Cr = spd(rng, 14), rng.normal(size=(6, 5)) ** 2
-    once = slack.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
+    once = allowed_change.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
     assert once == pytest.approx(naive.may_have_gone(kind, P, 1.5, 0.4, Cr, 0.02), rel=1e-12)
 
 
@@ -161,18 +166,18 @@ def test_what_drive_may_have_added_is_what_refused_readings_are_judged_by(sensor
 def test_what_is_beyond_the_variances_is_that_of_the_twin(count):
     rng = np.random.default_rng(count)
     for newest in (count - 1, 5):
-        bends = np.abs(rng.normal(size=(scatter.MOST, 4)))
-        bends[rng.random(scatter.MOST) < 0.2, 0] = np.nan
+        bends = np.abs(rng.normal(size=(noise_scale.MOST, 4)))
+        bends[rng.random(noise_scale.MOST) < 0.2, 0] = np.nan
         for axis in range(2):
             for white in (1e-3, 0.05, 10.0):
-                run = bends, axis, count, newest, white, np.zeros(3 * scatter.MOST)
-                assert scatter.beyond(*run) == pytest.approx(naive.beyond(*run), rel=1e-12)
+                run = bends, axis, count, newest, white, np.zeros(3 * noise_scale.MOST)
+                assert noise_scale.beyond(*run) == pytest.approx(naive.beyond(*run), rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_excess_is_that_of_the_noise_and_outliers_are_none(seed):
     rng = np.random.default_rng(seed)
-    readings = rng.normal(scale=[0.1, 0.01, 0.01], size=(scatter.MOST + 2, 3))
+    readings = rng.normal(scale=[0.1, 0.01, 0.01], size=(noise_scale.MOST + 2, 3))
     readings[::17, 2] += 5.0  # each outlier is in three second differences
     wide, right, spiked = beyond(np.diff(readings, n=2, axis=0), np.full(3, 1e-4))
     assert 0.005 < wide < 0.02 and right == 0.0 and spiked == 0.0
@@ -181,14 +186,14 @@ def test_the_excess_is_that_of_the_noise_and_outliers_are_none(seed):
 
 
 def test_a_ramp_and_a_jump_are_no_noise():
-    time_s = np.arange(scatter.MOST + 2.0)
+    time_s = np.arange(noise_scale.MOST + 2.0)
     readings = np.random.default_rng(1).normal(scale=0.01, size=(len(time_s), 2))
     readings += np.column_stack([0.5 * time_s, np.where(time_s > 20, 3.0, 0.0)])
     assert not beyond(np.diff(readings, n=2, axis=0), np.full(2, 1e-4))
 
 
 def test_what_else_is_in_a_second_difference_is_no_noise():
-    bends = np.diff(np.random.default_rng(4).normal(scale=0.1, size=(scatter.MOST + 2, 1)), n=2, axis=0)
+    bends = np.diff(np.random.default_rng(4).normal(scale=0.1, size=(noise_scale.MOST + 2, 1)), n=2, axis=0)
     assert not beyond(bends, np.array([1e-4]), slack=0.01)
     (excess,) = beyond(bends, np.array([1e-4]), slack=0.003)
     assert 0.004 < excess < 0.01  # of 0.01 the slack and what is described taken off

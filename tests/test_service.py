@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 from live_run import PATIENCE_S, Dive, Process, as_lines, run_session, states, wait_for
 
 import navfilter as nf
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Note, Reading, StartLine, start_from
-from navfilter.playback import drive_samples
+from navfilter.playback.replay import drive_samples
 from navfilter.service.disk import Disk, StateFile
 from navfilter.service.log import LOG_FILE, log_items, logged_options
-from navfilter.service.outlet import Outlet
+from navfilter.service.output import Outlet
 from navfilter.service.pairing import Pairing
 from navfilter.service.protocol import Lines, to_line
 from navfilter.service.session import Options, Session

@@ -24,17 +24,17 @@ import pytest
 from live_run import COMMAND, PATIENCE_S, Dive, Process, run_session, states, wait_for
 
 import navfilter as nf
-from navfilter.cli import _parser, main
+from navfilter.commands.cli import _parser, main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import BadLine, LineParser, Reading
 from navfilter.kernels import measurement
-from navfilter.magnetic import believable, declination
+from navfilter.models.magnetic import believable, declination
 from navfilter.service import kernel_cache
+from navfilter.service.counters import Tally
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
-from navfilter.service.outlet import Outlet
+from navfilter.service.output import Outlet
 from navfilter.service.session import Options
 from navfilter.service.supervision import Notifier
-from navfilter.service.tally import Tally
 
 
 @pytest.fixture(scope="module")
@@ -491,7 +491,7 @@ def test_kernels_that_cannot_be_loaded_are_compiled_again(tmp_path, monkeypatch)
             raise AttributeError("no such name")
         (tmp_path / "a.1.nbc").write_bytes(b"new")
 
-    monkeypatch.setattr("navfilter.warming.warm_up", warm_up)
+    monkeypatch.setattr("navfilter.playback.warm_up.warm_up", warm_up)
     monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
     kernel_cache.compile_kernels(said.append)
     assert calls == [["a.nbi"], []] and len(said) == 1 and "no such name" in said[0]

@@ -14,7 +14,7 @@ import pytest
 from live_run import Dive, Process, states, wait_for
 
 import navfilter as nf
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io.json_lines import LineParser, Reading
 from navfilter.service.instruments import Instrument
 from navfilter.service.log import LOG_FILE

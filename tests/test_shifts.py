@@ -11,10 +11,10 @@ from kernel_inputs import assert_close, run_both
 from test_agreement import altered, feed, fly
 
 import navfilter as nf
-from navfilter import passage
-from navfilter.filter import shifts
-from navfilter.filter.memory import differences
-from navfilter.kernels import shifts as kernels
+from navfilter.faults.imu import bias_drift
+from navfilter.foundation.state_values import differences
+from navfilter.kernels import bias_drift as kernels
+from navfilter.navigation import batch_runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -58,7 +58,7 @@ def test_stretches_lives_and_snapshots_give_the_same(monkeypatch):
     assert whole.counts["shifted"] == 1
     track = nf.replay(vehicle, broken, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
-    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, broken).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, broken, until_s=SHIFT_S + 10.0)
     again = nf.Navigator.restore(vehicle, half.snapshot())
@@ -70,49 +70,52 @@ def test_dead_reckoning_is_not_looked_at():
     vehicle = reckoning_vehicle()
     mission = simulate(vehicle, survey(60.0), seed=1, duration_s=60.0)
     nav, _ = fly(vehicle, mission)
-    assert shifts.due_s(nav.filter) == math.inf and np.isnan(nav.filter.memory.shifts).all()
+    assert bias_drift.due_s(nav.filter) == math.inf and np.isnan(nav.filter.memory.shifts).all()
 
 
 def looks(sd=2.0, ends=1.0):
     """Estimates that did not move, and the latest of them, whose sds are smaller."""
-    table = shifts.fresh()
-    table[:, shifts.TIME_S] = shifts.EVERY_S * np.arange(shifts.LOOKS)
-    table[:, shifts.BIAS : shifts.VARIANCE] = 0.0
-    table[:, shifts.VARIANCE : shifts.NIS], table[:, shifts.NIS] = sd**2, 1.0
+    table = bias_drift.fresh()
+    table[:, bias_drift.TIME_S] = bias_drift.EVERY_S * np.arange(bias_drift.LOOKS)
+    table[:, bias_drift.BIAS : bias_drift.VARIANCE] = 0.0
+    table[:, bias_drift.VARIANCE : bias_drift.NIS], table[:, bias_drift.NIS] = sd**2, 1.0
     now = table[-1].copy()
-    now[shifts.TIME_S] += shifts.EVERY_S
-    now[shifts.VARIANCE : shifts.NIS] = ends**2
+    now[bias_drift.TIME_S] += bias_drift.EVERY_S
+    now[bias_drift.VARIANCE : bias_drift.NIS] = ends**2
     return table, now
 
 
 def test_an_estimate_may_move_by_what_it_has_learnt():
     table, now = looks()
     walk, begin = np.zeros(3), np.full(3, 1e-12)
-    now[shifts.BIAS] = 0.9 * 6.0 * math.sqrt(3.0)
-    now[shifts.BIAS + 1] = -1.1 * 6.0 * math.sqrt(3.0)
-    (axis, row, size), *others = shifts.shifted(table, now, walk, begin)
+    now[bias_drift.BIAS] = 0.9 * 6.0 * math.sqrt(3.0)
+    now[bias_drift.BIAS + 1] = -1.1 * 6.0 * math.sqrt(3.0)
+    (axis, row, size), *others = bias_drift.shifted(table, now, walk, begin)
     # three quarters of the variance are gone: so is as much of a shift
     assert not others and (axis, row) == (1, 0)
-    assert size == pytest.approx(shifts.OPENED * now[shifts.BIAS + 1] / 0.75)
+    assert size == pytest.approx(bias_drift.OPENED * now[bias_drift.BIAS + 1] / 0.75)
     # a walk, or a bias that was hardly known at the start, may move further
-    assert not shifts.shifted(table, now, np.full(3, 0.1), begin)
-    assert not shifts.shifted(table, now, walk, np.full(3, 100.0))
-    assert not shifts.shifted(shifts.fresh(), now, walk, begin)
+    assert not bias_drift.shifted(table, now, np.full(3, 0.1), begin)
+    assert not bias_drift.shifted(table, now, walk, np.full(3, 100.0))
+    assert not bias_drift.shifted(bias_drift.fresh(), now, walk, begin)
     # where sensors are four times as noisy as they are described, so may what is learnt from them
-    table[:, shifts.NIS], now[shifts.NIS] = 16.0, 16.0
-    assert not shifts.shifted(table, now, walk, begin)
-    now[shifts.BIAS + 1] *= 4.0
-    assert len(shifts.shifted(table, now, walk, begin)) == 1
+    table[:, bias_drift.NIS], now[bias_drift.NIS] = 16.0, 16.0
+    assert not bias_drift.shifted(table, now, walk, begin)
+    now[bias_drift.BIAS + 1] *= 4.0
+    assert len(bias_drift.shifted(table, now, walk, begin)) == 1
 
 
 @pytest.mark.parametrize("missing", [0, 5, 16])
 def test_the_kernel_and_its_twin(missing):
     rng = np.random.default_rng(missing)
-    table, now = rng.uniform(0.5, 2.0, (shifts.LOOKS, shifts.COLUMNS)), rng.uniform(0.5, 2.0, shifts.COLUMNS)
+    table, now = (
+        rng.uniform(0.5, 2.0, (bias_drift.LOOKS, bias_drift.COLUMNS)),
+        rng.uniform(0.5, 2.0, bias_drift.COLUMNS),
+    )
     table[:missing] = math.nan
     args = table, now, np.full(3, 0.01), np.full(3, 1e-3)
     assert kernels.farthest(*args) == pytest.approx(naive.farthest(*args), rel=1e-12)
-    assert (kernels.farthest(*args) > 0.0) == (missing < shifts.LOOKS)
+    assert (kernels.farthest(*args) > 0.0) == (missing < bias_drift.LOOKS)
 
 
 @pytest.mark.parametrize("what", ["nothing", "far", "anew", "opened", "busy", "none"])
@@ -123,7 +126,7 @@ def test_what_is_kept_and_its_twin(what):
     x, P = 1e-3 * rng.normal(size=4), np.eye(13)
     gyros = np.array([[9.0, 10.0, 12.0], [1e-4] * 3, [1e-3] * 3])
     x[0] += 20.0 * (what == "far")
-    now[shifts.ANEW] += what == "anew"
+    now[bias_drift.ANEW] += what == "anew"
     P[12, 12] += 9.0 * (what == "opened")
     gyros = gyros[:, :0] if what == "none" else gyros
     ours, twins = run_both(kernels.keep, table, now, gyros, x, P, what != "busy")
@@ -138,7 +141,7 @@ def test_of_many_good_estimates_none_has_shifted():
     # a Kalman filter that learns a constant from readings with noise of 1
     rng, found = np.random.default_rng(1), 0
     for _ in range(40):
-        constant, estimate, variance, table = rng.normal(), 0.0, 1.0, shifts.fresh()
+        constant, estimate, variance, table = rng.normal(), 0.0, 1.0, bias_drift.fresh()
         for k in range(60):
             gain = variance / (variance + 4.0)
             estimate += gain * (constant + 2.0 * rng.normal() - estimate)
@@ -146,7 +149,7 @@ def test_of_many_good_estimates_none_has_shifted():
             now = np.concatenate(
                 [[10.0 * k, 0.0, 0.0, 0.0], np.full(3, estimate), np.full(3, variance), [1.0, 0.0, 0.0]]
             )
-            found += len(shifts.shifted(table, now, np.zeros(3), np.full(3, 1e-12)))
+            found += len(bias_drift.shifted(table, now, np.zeros(3), np.full(3, 1e-12)))
             table = np.vstack([table[1:], now])
     assert found == 0
 
@@ -164,12 +167,12 @@ def test_a_state_that_is_set_anew_begins_the_looks_anew():
 
 def ramp(heading, extra, since=4, sd=0.01, seed=1):
     """What looks along these headings say of a ramp: its slope [rad/s], in standard deviations."""
-    time_s = shifts.EVERY_S * np.arange(len(heading))
+    time_s = bias_drift.EVERY_S * np.arange(len(heading))
     noise = sd * np.random.default_rng(seed).normal(size=len(heading))
     apart = 3.0 + 1e-5 * time_s + noise + extra(time_s)
     apart = (apart + np.pi) % (2.0 * np.pi) - np.pi
     covariance = sd**2 * np.eye(len(heading))
-    slope, variance = shifts.ramp_beyond_deviation(time_s, heading, apart, covariance, time_s[since], (2e-5) ** 2)
+    slope, variance = bias_drift.ramp_beyond_deviation(time_s, heading, apart, covariance, time_s[since], (2e-5) ** 2)
     return slope, slope / math.sqrt(variance)
 
 
@@ -192,7 +195,7 @@ def test_a_deviation_is_no_ramp(name, seed):
     def shifted(time_s):
         return deviation(time_s) - 1e-3 * np.maximum(time_s - time_s[4], 0.0)
 
-    assert ramp(heading, deviation, seed=seed)[1] ** 2 < shifts.BEYOND
+    assert ramp(heading, deviation, seed=seed)[1] ** 2 < bias_drift.BEYOND
     if name != "half a turn":  # there nobody can tell
         slope, sds = ramp(heading, shifted, seed=seed)
-        assert slope == pytest.approx(-1e-3, rel=0.3) and sds**2 > shifts.BEYOND
+        assert slope == pytest.approx(-1e-3, rel=0.3) and sds**2 > bias_drift.BEYOND

@@ -15,11 +15,11 @@ from small_run import small_run
 from test_every_kind import VEHICLES
 
 import navfilter as nf
-from navfilter.error_models import ErrorModel
-from navfilter.filter.snapshot import fingerprint
-from navfilter.mechanisation import Mechanisation
-from navfilter.notebook import Shown
-from navfilter.sensors import Sensor
+from navfilter.foundation.display import Shown
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.sensors import Sensor
+from navfilter.navigation.snapshot import fingerprint
 
 #: What is at hand where all of navfilter has been imported.
 PROMPT = {"datetime": datetime, **{name: getattr(nf, name) for name in nf.__all__}}
@@ -213,7 +213,7 @@ def test_equal_vehicles_have_one_fingerprint():
     changed = nf.ArmaModel(MODEL.ar + 1e-15, MODEL.ma, MODEL.sd, MODEL.covariance, flags=MODEL.flags)
     assert fingerprint(vehicle.with_error(compass=nf.LearnedArma(model=changed, frozen=True))) != expected
     assert fingerprint(vehicle.with_error(compass=nf.White(sd=1.0))) != expected
-    imports = "import datetime; from navfilter import *; from navfilter.filter.snapshot import fingerprint"
+    imports = "import datetime; from navfilter import *; from navfilter.navigation.snapshot import fingerprint"
     for seed in ("1", "2", "3"):
         done = subprocess.run(
             [sys.executable, "-c", f"{imports}; print(fingerprint({vehicle!r}))"],

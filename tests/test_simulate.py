@@ -9,10 +9,12 @@ import pytest
 from scipy.signal import lfilter
 
 import navfilter.simulation.simulate as simulator
-from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
-from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.playback import replay
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
+from navfilter.models.mechanisation import DeadReckoning, Imu
+from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.models.state import NavState
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
 from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise, within
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
@@ -27,8 +29,6 @@ from navfilter.simulation.presets import (
 )
 from navfilter.simulation.scenarios import SCENARIOS, demo_mission, simulate_scenario
 from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
-from navfilter.state import NavState
-from navfilter.vehicle import Vehicle
 
 DEG = math.pi / 180.0
 SILENT = White(sd=0.0)

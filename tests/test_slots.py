@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.cli import main
+from navfilter.commands.cli import main
+from navfilter.evaluation.baselines import rivals
 from navfilter.evaluation.montecarlo import bars as judging
 from navfilter.evaluation.montecarlo.bars import Bar, bar_table, bars
 from navfilter.evaluation.montecarlo.campaign import Campaign, Results, run_campaign, run_seed
 from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, slot_figures, slots
 from navfilter.evaluation.montecarlo.tables import table, write_tables
-from navfilter.evaluation.rivals import rivals
-from navfilter.playback import replay_heard, residual_series
+from navfilter.playback.replay import replay_heard, residual_series
 
 SMALL = Campaign("compass-slow-2min", duration_s=150.0, score_from_s=40.0, imu_rate_hz=20.0)
 HEADING, ANEES = SLOT_SCORES.index("heading_rms_deg"), SLOT_SCORES.index("anees_heading")
@@ -260,7 +260,7 @@ def test_only_what_is_asked_for_is_run(monkeypatch):
         return nf.replay(vehicle, *arguments, **how)
 
     monkeypatch.setattr(campaigns, "replay", counted)
-    monkeypatch.setattr("navfilter.evaluation.rivals.residual_series", lambda *_: pytest.fail("nothing is fitted"))
+    monkeypatch.setattr("navfilter.evaluation.baselines.residual_series", lambda *_: pytest.fail("nothing is fitted"))
     lean = replace(SMALL, smooth=False)
     assert list(run_seed(lean, 1, ("arma", "vehicle"))) == ["arma", "vehicle"] and len(ran) == 2
     # the fit takes its series from the run of the vehicle as described

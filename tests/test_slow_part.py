@@ -8,19 +8,19 @@ import pytest
 from test_channel import dense, lags, walk_with_gaps, wide
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
-from navfilter.kernels.channel import LANES, slow_part
-from navfilter.learning.drift import Drift
+from navfilter.kernels.arma_likelihood import LANES, slow_part
 from navfilter.learning.likelihood import Likelihood, maximise
-from navfilter.learning.nearest import nearest, slow_psd
-from navfilter.learning.posterior import Line, SlowPosterior, _between_places, follow
-from navfilter.learning.slow import SlowNode, SlowPrior, slow_prior
-from navfilter.learning.spectrum import Spectrum, log_spread
+from navfilter.learning.moment_matching import nearest, slow_psd
+from navfilter.learning.slow_posterior import Line, SlowPosterior, _between_places, follow
+from navfilter.learning.slow_prior import SlowNode, SlowPrior, slow_prior
+from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.spectrum import Spectrum, log_spread
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu
 from navfilter.simulation.scenarios import SCENARIOS, survey_vehicle
 from navfilter.simulation.simulate import simulate
+from navfilter.timeseries.model import ArmaModel, simulate_arma
 
 PERIOD_S = 0.5
 DRIFT = Drift((0.01, 0.0), PERIOD_S)

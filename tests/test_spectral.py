@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.arma import spectral
+from navfilter.timeseries import spectral
 
 
 def autocovariance(c):

@@ -13,10 +13,17 @@ from kernel_inputs import imu_samples, random_drive, random_nav, uncalibrated_dr
 
 import navfilter as nf
 from navfilter.kernels import strapdown
+from navfilter.models.state import (
+    NavState,
+    euler_from_matrix,
+    matrix_from_euler,
+    rotation_matrix,
+    rotation_vector,
+    wrap,
+)
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, SpiralDive, Straight, Turn
 from navfilter.simulation.motion import Motion, Wander
-from navfilter.state import NavState, euler_from_matrix, matrix_from_euler, rotation_matrix, rotation_vector, wrap
-from navfilter.track import _metres
+from navfilter.track.track import _metres
 
 RATE_HZ = 100.0
 

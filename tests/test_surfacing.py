@@ -6,15 +6,15 @@ import json
 import numpy as np
 import pytest
 
-from navfilter.cli import main
-from navfilter.error_models import White
+from navfilter.commands.cli import main
 from navfilter.evaluation.assessment import assess
-from navfilter.evaluation.surfacing import evidence, surfacings
-from navfilter.evaluation.withheld import score, withhold
-from navfilter.filter.tape import OUTCOMES
+from navfilter.evaluation.fix_reacquisition import evidence, surfacings
+from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import labelled
-from navfilter.mission import Stream
-from navfilter.playback import replay
+from navfilter.models.error_models import White
+from navfilter.models.mission import Stream
+from navfilter.playback.held_out import score, withhold
+from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
 
 REJECTED = OUTCOMES.index("rejected")

@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 from small_run import small_run
 
 import navfilter as nf
-from navfilter.cli import main
-from navfilter.filter.tape import OUTCOMES
-from navfilter.outputs.formats import FORMATS
-from navfilter.state import NavState, matrix_from_euler
+from navfilter.commands.cli import main
+from navfilter.filter.records import OUTCOMES
+from navfilter.io.tracks.formats import FORMATS
+from navfilter.models.state import NavState, matrix_from_euler
 
 #: 2026-05-28T20:26:40.250Z
 EPOCH = 1.78e9 + 0.25
@@ -55,8 +55,8 @@ def test_csv_has_utc_beside_the_mission_time(tmp_path):
 
 
 def test_csv_in_pieces_is_that_in_one(tmp_path, monkeypatch):
-    from navfilter.outputs import table
-    from navfilter.outputs.replacing import pieces
+    from navfilter.io.tracks import table
+    from navfilter.io.tracks.atomic_files import pieces
 
     _, track = run()
     whole = nf.write_track(track, tmp_path / "whole.csv").read_bytes()
@@ -185,8 +185,8 @@ def test_sbet_motion_leads_from_each_row_to_the_next(tmp_path):
 
 
 def test_sbet_in_pieces_is_that_in_one(tmp_path, monkeypatch):
-    from navfilter.outputs import sbet as module
-    from navfilter.outputs.replacing import pieces
+    from navfilter.io.tracks import sbet as module
+    from navfilter.io.tracks.atomic_files import pieces
 
     _, track = run()
     whole = nf.write_track(track, tmp_path / "whole.sbet").read_bytes()
@@ -240,7 +240,7 @@ def test_mat_is_the_track(tmp_path, epoch):
 
 
 def test_mat_that_its_format_cannot_hold_is_refused(tmp_path, monkeypatch):
-    from navfilter.outputs import mat
+    from navfilter.io.tracks import mat
 
     _, track = run()
     # its covariances alone, 9 x 9 float64 a row, and residuals of no reading

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import scipy.io
 
-from navfilter.cli import main
+from navfilter.commands.cli import main
 from navfilter.io import read_mission, read_vehicle
 from navfilter.io.containers import read_npz
 from navfilter.io.series import read_series
 from navfilter.io.tables import read_table
 from navfilter.io.trust import Allowance, Place
-from navfilter.mission import Mission, MissionError, Stream
+from navfilter.models.mission import Mission, MissionError, Stream
 
 SMALL = 100_000  # bytes that may be unpacked; each file below unpacks to eight times as much
 TOO_MUCH = "unpacks to more than .* --max-unpacked"

@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import RandomWalk, Sum, White
-from navfilter.learning.drift import Drift
-from navfilter.learning.learner import Learner, hop_together
-from navfilter.learning.unseen import WhiteDescription, white_description
+from navfilter.learning.axis_learner import Learner, hop_together
+from navfilter.learning.white_prior import WhiteDescription, white_description
+from navfilter.models.error_models import RandomWalk, Sum, White
+from navfilter.models.navigation_drift import Drift
+from navfilter.timeseries.model import ArmaModel
 
 PERIOD_S, SPAN_S = 0.1, 400.0
 #: A velocity beside the tilt of a car: it hides whatever is slower than some seconds.

@@ -15,11 +15,11 @@ from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
+from navfilter.models.state import NavState, matrix_from_euler
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, Lawnmower, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import StartErrors, simulate
-from navfilter.state import NavState, matrix_from_euler
 
 DEG = math.pi / 180.0
 SEEDS = range(12)

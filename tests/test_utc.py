@@ -9,8 +9,8 @@ import pytest
 from small_run import small_run
 
 import navfilter as nf
-from navfilter import utc
-from navfilter.mission import MissionError
+from navfilter.foundation import utc
+from navfilter.models.mission import MissionError
 
 #: 2023-11-14T22:13:20Z
 UNIX = 1.7e9
@@ -160,8 +160,8 @@ def test_a_plot_has_dates_or_mission_times_and_never_seconds_since_1970():
 def test_figures_of_the_report_count_from_the_beginning_where_the_clock_counts_from_1970():
     from matplotlib.figure import Figure
 
-    from navfilter.report.clock import Clock
-    from navfilter.report.drawing import time_axis
+    from navfilter.rendering.clock import Clock
+    from navfilter.rendering.drawing import time_axis
 
     clock = Clock(UNIX, UNIX + 100.0)
     ax = Figure().subplots()

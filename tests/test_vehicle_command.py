@@ -12,19 +12,18 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from navfilter.arma.model import ArmaModel
-from navfilter.check.amounts import amount, duration, root_density
 from navfilter.check.description import describe_error, describe_vehicle, zero_frequency
 from navfilter.check.plausibility import check_vehicle
-from navfilter.cli import main
-from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
-from navfilter.filter.layout import Layout
+from navfilter.check.units_text import amount, duration, root_density
+from navfilter.commands.cli import main
+from navfilter.filter.state_layout import Layout
 from navfilter.io import read_vehicle
 from navfilter.io.vehicle_template import DRIVES, vehicle_template
 from navfilter.io.vehicle_toml import _NOT_IN_FILES, _concrete, _kebab, _kinds
-from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import (
+from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mechanisation import DeadReckoning, Imu
+from navfilter.models.sensors import (
     Altitude,
     Attitude,
     BodyVelocity,
@@ -41,8 +40,9 @@ from navfilter.sensors import (
     ZeroRate,
     ZeroVelocity,
 )
+from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
-from navfilter.vehicle import Vehicle
+from navfilter.timeseries.model import ArmaModel
 
 RECORDINGS = sorted((Path(__file__).parent / "recordings").glob("*/*/vehicle.toml"))
 

@@ -13,21 +13,21 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from navfilter.arma.model import ArmaModel, is_stable
 from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
-from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import VehicleError, read_mission, read_vehicle, write_vehicle
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Reading
 from navfilter.io.vehicle_template import DRIVES, vehicle_template
-from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.mission import MissionError
-from navfilter.navigator import Navigator
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
+from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mechanisation import DeadReckoning, Imu
+from navfilter.models.mission import MissionError
+from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
+from navfilter.models.start import Start
+from navfilter.models.vehicle import RESERVED, Vehicle
+from navfilter.navigation.navigator import Navigator
 from navfilter.service.protocol import Lines, to_line
-from navfilter.start import Start
-from navfilter.vehicle import RESERVED, Vehicle
+from navfilter.timeseries.model import ArmaModel, is_stable
 
 QUICK = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 

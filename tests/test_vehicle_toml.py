@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import VehicleError, read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.playback import replay
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
+from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
+from navfilter.models.learned_arma import LearnedArma, learned_part
+from navfilter.models.mechanisation import DeadReckoning, Imu
+from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.vehicle import Vehicle
+from navfilter.timeseries.model import ArmaModel
 
 RECORDINGS = Path(__file__).parent / "recordings"
 

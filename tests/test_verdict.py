@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navfilter.cli import main
-from navfilter.error_models import White
+from navfilter.commands.cli import main
 from navfilter.evaluation.assessment import assess
-from navfilter.evaluation.doubts import LIMITS
-from navfilter.evaluation.surfacing import Surfacing, evidence
+from navfilter.evaluation.diagnostics import LIMITS
+from navfilter.evaluation.fix_reacquisition import Surfacing, evidence
 from navfilter.evaluation.verdict import judge
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.io.write import labelled
-from navfilter.mission import Stream
-from navfilter.playback import replay
+from navfilter.models.error_models import White
+from navfilter.models.mission import Stream
+from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 
 

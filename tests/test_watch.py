@@ -8,9 +8,9 @@ import pytest
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter.health import CALM, Watch
+from navfilter.faults.sensor_monitor import CALM, Watch
+from navfilter.navigation.track_trust import spells
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track_trust import spells
 
 FAULT_S, END_S = 20.0, 40.0
 

@@ -12,7 +12,7 @@ from feeding import delayed, events_of, one_by_one
 from scipy.stats import chi2
 
 import navfilter as nf
-from navfilter.evaluation.rivals import learnable
+from navfilter.evaluation.baselines import learnable
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from small_run import small_run
 
-from navfilter.arma.algebra import add_arma
-from navfilter.arma.model import ArmaModel
-from navfilter.cli import main
-from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
-from navfilter.evaluation.wording import Scale, error_words, in_force, learnt, model_words
-from navfilter.identification.reading import stationary_parts
-from navfilter.learning.learned import LearnedArma
-from navfilter.playback import replay
+from navfilter.commands.cli import main
+from navfilter.evaluation.learned_text import Scale, error_words, in_force, learnt, model_words
+from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.models.interpretation import stationary_parts
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.playback.replay import replay
+from navfilter.rendering.panels import legend_of
 from navfilter.report.learnt_figures import SpectrumBand, spectrum_figure
-from navfilter.report.panels import legend_of
 from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.timeseries.model import ArmaModel
+from navfilter.timeseries.polynomials import add_arma
 
 DEG = Scale("deg", 180.0 / math.pi, 8.0)
 RAD = math.pi / 180.0

@@ -14,11 +14,11 @@ import pytest
 from feeding import DRIVE, events_of
 
 import navfilter as nf
-from navfilter import beginning
 from navfilter.filter import filter as filter_module
-from navfilter.filter.memory import differences
+from navfilter.foundation.state_values import differences
+from navfilter.learning.background import Task, Worker
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.learning.worker import Task, Worker
+from navfilter.navigation import early_rerun
 from navfilter.simulation.campaigns import stage
 
 EARLY_S = (16.0, 25.0)
@@ -83,8 +83,8 @@ def instantaneous(self, work):
 @pytest.mark.parametrize("begin", [Worker.begin, slow, instantaneous])
 def test_the_same_bits_at_any_speed(mission, alone, begin, monkeypatch):
     vehicle, recorded, events = mission
-    arrived, taken = [], beginning.Twin.arrived
-    monkeypatch.setattr(beginning.Twin, "arrived", lambda twin: arrived.append(twin) or taken(twin))
+    arrived, taken = [], early_rerun.Twin.arrived
+    monkeypatch.setattr(early_rerun.Twin, "arrived", lambda twin: arrived.append(twin) or taken(twin))
     monkeypatch.setattr(Worker, "begin", begin)
     nav = nf.Navigator(vehicle, recorded.start)
     rows = fed(nav, events)
@@ -161,14 +161,14 @@ def test_learning_goes_on_after_a_model_by_hand(mission, at_s):
 
 def test_what_is_left_of_a_run_is_freed_without_a_collector(mission, monkeypatch):
     vehicle, recorded, events = mission
-    twins, begun = [], beginning._begun
+    twins, begun = [], early_rerun._begun
 
     def seen(*args):
         twin = begun(*args)
         twins.extend(weakref.ref(part) for part in (twin, twin.history, twin.learning))
         return twin
 
-    monkeypatch.setattr(beginning, "_begun", seen)
+    monkeypatch.setattr(early_rerun, "_begun", seen)
     gc.disable()
     try:
         nav = nf.Navigator(vehicle, recorded.start)

@@ -73,7 +73,7 @@ def test_the_covariance_is_honest(gyro):
 def earth_rate(mission):
     """In the body, at rest on the truth's attitude."""
     roll, pitch, yaw = mission.truth.value[0, 6:9]
-    from navfilter.state import matrix_from_euler
+    from navfilter.models.state import matrix_from_euler
 
     lat = mission.truth.value[0, 0]
     return matrix_from_euler(roll, pitch, yaw).T @ (7.292115e-5 * np.array([np.cos(lat), 0.0, -np.sin(lat)]))

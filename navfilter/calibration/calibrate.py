@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from navfilter.calibration.estimate import AROUND, Estimate, estimate
 from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, kind_of, opened
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
-from navfilter.error_models import White
-from navfilter.handed_over import needs
-from navfilter.mission import Mission, Stream
-from navfilter.notebook import Shown
-from navfilter.playback import replay
-from navfilter.sensors import Position
-from navfilter.vehicle import Vehicle
+from navfilter.foundation.arguments import needs
+from navfilter.foundation.display import Shown
+from navfilter.models.error_models import White
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.sensors import Position
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
 
 __all__ = ["UNTOLD", "Calibration", "Found", "calibrate", "with_reference"]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.calibration.parts import Constant, constants_of, described
-from navfilter.filter.chi_square import chi_square_limit
-from navfilter.mission import Mission
-from navfilter.playback import at_the_end
-from navfilter.vehicle import Vehicle
+from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.models.mission import Mission
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import at_the_end
 
 __all__ = ["Estimate", "estimate", "said"]
 

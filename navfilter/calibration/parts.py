@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.layout import Parameter, constant_parameters
-from navfilter.mission import Mission
-from navfilter.sensors import Sensor
-from navfilter.state import euler_from_matrix, matrix_from_euler, rotation_matrix
-from navfilter.vehicle import Vehicle
+from navfilter.filter.state_layout import Parameter, constant_parameters
+from navfilter.models.mission import Mission
+from navfilter.models.sensors import Sensor
+from navfilter.models.state import euler_from_matrix, matrix_from_euler, rotation_matrix
+from navfilter.models.vehicle import Vehicle
 
 __all__ = ["KINDS", "Constant", "closed", "constants_of", "described", "kind_of", "opened"]
 
@@ -51,7 +51,7 @@ class Constant(NamedTuple):
     Attributes
     ----------
     name : str
-        Of the state, see `navfilter.filter.layout.Layout.names`.
+        Of the state, see `navfilter.filter.state_layout.Layout.names`.
     part : tuple of str
         Where it stands in a vehicle.toml: ("drive",), ("drive", "velocity"), ("sensors", "dvl").
     own : str

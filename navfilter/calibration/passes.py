@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 
-from navfilter.alignment import align
 from navfilter.calibration.parts import constants_of, described
-from navfilter.mission import Mission
-from navfilter.playback import replay
-from navfilter.start import Start
-from navfilter.track import Track
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.alignment import align
+from navfilter.playback.replay import replay
+from navfilter.track.track import Track
 
 __all__ = ["again", "smoothed"]
 

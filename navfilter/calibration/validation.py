@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.evaluation.withheld import Withheld, score
-from navfilter.mission import Mission
-from navfilter.playback import replay
-from navfilter.track import Track
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission
+from navfilter.models.vehicle import Vehicle
+from navfilter.playback.held_out import Withheld, score
+from navfilter.playback.replay import replay
+from navfilter.track.track import Track
 
 __all__ = ["FOLDS", "Prediction", "Stretches", "predicted", "stretches_of"]
 

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from navfilter.check.clocks import clock_findings
 from navfilter.check.finding import Finding, Severity
+from navfilter.check.magnetic_north import north_findings
 from navfilter.check.motion import motion_findings
-from navfilter.check.north import north_findings
 from navfilter.check.streams import stream_findings
-from navfilter.mission import Mission
+from navfilter.check.time_units import clock_findings
+from navfilter.models.mission import Mission
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 __all__ = ["Finding", "Severity", "check_mission", "report_text"]
 
@@ -38,7 +38,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     Examples
     --------
     >>> import numpy as np
-    >>> from navfilter.mission import Stream
+    >>> from navfilter.models.mission import Stream
     >>> held = Stream(np.arange(100.0), np.repeat(np.arange(10.0), 10), ("depth_m",))
     >>> [finding.severity for finding in check_mission(Mission("x", {"depth": held}))]
     ['warning', 'info', 'info']

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from navfilter.check.clock_offsets import far_finding, late_path_by
 from navfilter.check.course_fit import (
     MOST_DELAY_S,
     CourseFit,
@@ -16,14 +17,13 @@ from navfilter.check.course_fit import (
     paths_of,
     places_of,
 )
-from navfilter.check.far_clocks import far_finding, late_path_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import heading_of, unwrapped, vector
-from navfilter.mission import Array, Mission, Stream
-from navfilter.state import matrix_from_euler
+from navfilter.models.mission import Array, Mission, Stream
+from navfilter.models.state import matrix_from_euler
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.check.series import factors, integral, jackknife, window_edges
-from navfilter.mission import Array, Mission
+from navfilter.models.mission import Array, Mission
 
 __all__ = [
     "MOST_DELAY_S",

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from navfilter.check.amounts import amount, duration, root_density, walk
-from navfilter.constants import ROOT_HOUR
-from navfilter.cycle import Cycle
-from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.filter.layout import Layout, Parameter, constant_parameters
-from navfilter.learning.learned import LearnedArma
-from navfilter.learning.limits import least_window
-from navfilter.learning.listener import TAKEN_AFTER_S
+from navfilter.check.units_text import amount, duration, root_density, walk
+from navfilter.filter.state_layout import Layout, Parameter, constant_parameters
+from navfilter.foundation.constants import ROOT_HOUR
+from navfilter.learning.open_loop_series import TAKEN_AFTER_S
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.mechanisation import Mechanisation
-from navfilter.navigator import Navigator
-from navfilter.sensors import Sensor
-from navfilter.vehicle import DEAD_RECKONING
+from navfilter.models.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.periodic_error import Cycle
+from navfilter.models.sensors import Sensor
+from navfilter.models.vehicle import DEAD_RECKONING
+from navfilter.models.window_limits import least_window
+from navfilter.navigation.navigator import Navigator
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 __all__ = ["describe_error", "describe_vehicle", "zero_frequency"]
 

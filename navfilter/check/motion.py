@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from navfilter.check.amounts import counted
+from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
-from navfilter.check.far_clocks import far_finding, late_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
+from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
     height_findings,
@@ -22,11 +22,11 @@ from navfilter.check.vertical import (
     surfacing_findings,
     vertical_findings,
 )
-from navfilter.constants import ROUND_GRAVITY
-from navfilter.mission import Array, Mission, Stream
+from navfilter.foundation.constants import ROUND_GRAVITY
+from navfilter.models.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 EARTH_RADIUS_M = 6.371e6
 #: Correlation below which two sensors have too little in common to be judged.

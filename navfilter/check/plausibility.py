@@ -8,20 +8,20 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from navfilter.check.amounts import amount, duration, root_density
 from navfilter.check.finding import Finding
-from navfilter.constants import ROOT_HOUR
-from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.filter.layout import Layout
-from navfilter.learning.belief import span_s
-from navfilter.learning.learned import LearnedArma, learning_part
-from navfilter.learning.slow import slow_prior
-from navfilter.mechanisation import Mechanisation
-from navfilter.sensors import Sensor
-from navfilter.sensors.traits import Plausible
+from navfilter.check.units_text import amount, duration, root_density
+from navfilter.filter.state_layout import Layout
+from navfilter.foundation.constants import ROOT_HOUR
+from navfilter.learning.setup import span_s
+from navfilter.learning.slow_prior import slow_prior
+from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.learned_arma import LearnedArma, learning_part
+from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.sensors import Sensor
+from navfilter.models.sensors.traits import Plausible
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 __all__ = ["check_vehicle"]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.mission import Array, Stream
+from navfilter.models.mission import Array, Stream
 
 
 def vector(stream: Stream, first: str) -> Array:

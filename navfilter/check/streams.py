@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
-from navfilter.mission import Array, Mission, Stream
+from navfilter.check.units_text import counted
+from navfilter.models.mission import Array, Mission, Stream
 
 #: Readings that were buffered come faster than this one after the other [s].
 _EMPTYING_S = 0.05

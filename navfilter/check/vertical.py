@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import SURE, mirrored_finding, mounting_of
 from navfilter.check.course_fit import WINDOW_S, without_gaps
-from navfilter.check.far_clocks import far_finding, late_by
 from navfilter.check.finding import Finding
 from navfilter.check.series import correlation, factors, integral, vector, window_edges
-from navfilter.constants import ROUND_GRAVITY
-from navfilter.mission import Array, Mission, Stream
+from navfilter.foundation.constants import ROUND_GRAVITY
+from navfilter.models.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 #: A depth gauge may be off by so much at the surface, and waves go as high [m].
 _SURFACE_M = 2.0

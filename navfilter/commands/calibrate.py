@@ -19,8 +19,8 @@ from navfilter.commands.console import (
 )
 
 if TYPE_CHECKING:
-    from navfilter.mission import Mission
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.mission import Mission
+    from navfilter.models.vehicle import Vehicle
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     """Run ``navfilter calibrate``."""
     from navfilter.calibration.calibrate import calibrate, to_dict, with_reference
     from navfilter.calibration.parts import KINDS
-    from navfilter.calibration.words import calibration_text
+    from navfilter.calibration.text import calibration_text
     from navfilter.io import read_mission, read_vehicle
     from navfilter.io.calibrated_toml import write_calibrated
 
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _of_one_unit(vehicle: Vehicle, missions: list[Mission], unit: str | None) -> tuple[Vehicle, list[Mission], str]:
     """The vehicle and its missions with one of its inertial units, and which: constants are known against one."""
-    from navfilter.lane_missions import of_one_unit
+    from navfilter.models.lane_missions import of_one_unit
 
     if unit is None and len(vehicle.imus) > 1:
         raise ValueError(

@@ -23,9 +23,9 @@ from navfilter.commands.console import (
 
 if TYPE_CHECKING:
     from navfilter.evaluation.comparison import Comparison
-    from navfilter.mission import Mission
-    from navfilter.track import Track
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.mission import Mission
+    from navfilter.models.vehicle import Vehicle
+    from navfilter.track.track import Track
 
 __all__ = [
     "ABOUT",
@@ -118,7 +118,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 def run(options: argparse.Namespace) -> int:
     """Read, replay with every model, compare, write, print; 0 when all is well."""
-    from navfilter.evaluation.rivals import MODELS
+    from navfilter.evaluation.baselines import MODELS
     from navfilter.io import read_vehicle
 
     for name in options.models:
@@ -160,7 +160,7 @@ class Plan:
     Attributes
     ----------
     models : sequence of str
-        Names, see `navfilter.evaluation.rivals.rival`.
+        Names, see `navfilter.evaluation.baselines.rival`.
     sensors : sequence of str, optional
         Whose model is exchanged; default all with enough readings.
     truth : dict of str to ErrorModel or tuple of ErrorModel, optional
@@ -193,9 +193,9 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     dict of str to Track
         By name of the model.
     """
-    from navfilter.alignment import align
-    from navfilter.evaluation.rivals import rivals
-    from navfilter.playback import replay
+    from navfilter.evaluation.baselines import rivals
+    from navfilter.navigation.alignment import align
+    from navfilter.playback.replay import replay
 
     say, bars = speaker(quiet), not quiet and sys.stderr.isatty()
     compile_first(quiet)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from navfilter.mission import Mission
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.mission import Mission
+    from navfilter.models.vehicle import Vehicle
 
 __all__ = [
     "add_force_argument",
@@ -169,7 +169,7 @@ def complain(text: str) -> None:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    from navfilter.compilation import is_compiled
+    from navfilter.kernels.compiling.progress import is_compiled
 
     cold = not is_compiled("strapdown", "kalman", "measurement")
     if cold:
@@ -181,7 +181,7 @@ def compile_first(quiet: bool, vehicle: Vehicle | None = None) -> None:
     """Compile before a run, so that the run's processor time is its own; given a vehicle, only what that one needs."""
     say = (lambda text: None) if quiet else complain
     if not quiet:
-        from navfilter.compilation import show_compilation
+        from navfilter.kernels.compiling.progress import show_compilation
 
         show_compilation()
     if announce_compilation(say):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from navfilter.outputs.formats import FORMATS, is_nowhere
+from navfilter.io.tracks.formats import FORMATS, is_nowhere
 
 if TYPE_CHECKING:
-    from navfilter.mission import Mission
+    from navfilter.models.mission import Mission
 
 __all__ = ["FILES", "add_arguments", "check"]
 
@@ -40,7 +40,7 @@ def check(options: argparse.Namespace, mission: Mission) -> None:
     Raises
     ------
     ValueError
-        See `navfilter.outputs.formats.TrackFormat.check`.
+        See `navfilter.io.tracks.formats.TrackFormat.check`.
     """
     start = mission.start
     nowhere = start is not None and is_nowhere(start.latitude_deg, start.longitude_deg)

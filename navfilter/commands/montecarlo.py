@@ -127,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
     """The models asked for; the default ones without the oracle where there is no fixed truth."""
-    from navfilter.evaluation.rivals import MODELS
+    from navfilter.evaluation.baselines import MODELS
 
     names = tuple(dict.fromkeys(name.strip() for name in options.models.split(",") if name.strip()))
     unknown = [name for name in names if name not in MODELS]

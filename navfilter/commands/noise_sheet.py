@@ -67,7 +67,7 @@ def _quantity(text: str) -> str:
 def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], Any]) -> int:
     """Read, find the noise, write, print."""
     from navfilter.identification.noise_sheet import NotAtRest, noise_sheet
-    from navfilter.identification.sheet_words import as_dict, sheet_text
+    from navfilter.identification.noise_sheet_text import as_dict, sheet_text
 
     say("reading")
     record = _record(options)
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
         complain(f"navfilter: {error}")
         return FOUND
     if folder is not None:
-        from navfilter.identification.sheet_page import write_sheet
+        from navfilter.identification.noise_sheet_page import write_sheet
 
         say("drawing")
         write_sheet(sheet, record, folder)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands import formats, selection
+from navfilter.commands import formats, mission_part
 from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
@@ -27,9 +27,9 @@ from navfilter.commands.console import (
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
-    from navfilter.evaluation.withheld import Withheld
-    from navfilter.mission import Mission
-    from navfilter.track import Track
+    from navfilter.models.mission import Mission
+    from navfilter.playback.held_out import Withheld
+    from navfilter.track.track import Track
 
 __all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "replay_one", "save"]
 
@@ -61,7 +61,7 @@ MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by na
 board. Several MISSIONs are replayed side by side, each into a folder of its own below --out; recordings.csv and
 recordings.json there hold a line for each. One that cannot be read stops none of the others.
 
-{selection.SELECTION}
+{mission_part.SELECTION}
 written to --out:
   report.html     verdict, tables and figures that can be zoomed, one file that works offline (not with --no-report)
   summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
@@ -183,7 +183,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
     )
-    selection.add_arguments(parser)
+    mission_part.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
         type=row_rate,
@@ -227,7 +227,7 @@ def replay_one(options: argparse.Namespace) -> int:
     from navfilter.io import read_vehicle
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
-    mission, withheld = selection.select(options, read(options), vehicle)
+    mission, withheld = mission_part.select(options, read(options), vehicle)
     formats.check(options, mission)
     folder = output_folder(options.out, options.force)
     if options.iterate:
@@ -240,7 +240,7 @@ def replay_one(options: argparse.Namespace) -> int:
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
     """The vehicle with error models identified on the whole mission; says how the rounds went."""
-    from navfilter.playback import SETTLED, identified
+    from navfilter.playback.replay import SETTLED, identified
 
     compile_first(quiet)
     say = speaker(quiet)
@@ -255,7 +255,7 @@ def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
 
 def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     from navfilter.calibration.passes import smoothed
-    from navfilter.playback import replay as replay_mission
+    from navfilter.playback.replay import replay as replay_mission
 
     compile_first(quiet, vehicle)
     when = f" from {mission.begin_utc}" if mission.begin_utc else ""

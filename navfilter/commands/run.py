@@ -147,7 +147,7 @@ def _date(text: str) -> datetime.date:
 def run(options: argparse.Namespace) -> int:
     """Run ``navfilter run``."""
     closed = _open_standard_descriptors()
-    from navfilter.service.outlet import Outlet
+    from navfilter.service.output import Outlet
 
     # A thread of its own writes to standard error: a pipe that nobody drains, a full disk or a closed terminal must not
     # stop the run.

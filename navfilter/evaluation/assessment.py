@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from navfilter.evaluation.surfacing import Evidence, evidence
+from navfilter.evaluation.fix_reacquisition import Evidence, evidence
+from navfilter.evaluation.learned_text import Learnt, learnt
 from navfilter.evaluation.verdict import Verdict, judge
-from navfilter.evaluation.withheld import Score, Withheld, score
-from navfilter.evaluation.wording import Learnt, learnt
-from navfilter.mission import Mission
-from navfilter.track import Track
+from navfilter.models.mission import Mission
+from navfilter.playback.held_out import Score, Withheld, score
+from navfilter.track.track import Track
 
 __all__ = ["Assessment", "assess"]
 
@@ -70,7 +70,7 @@ def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Wit
     mission : Mission
         As it was replayed.
     withheld : sequence of Withheld
-        Readings that the filter did not get, see `navfilter.evaluation.withheld.withhold`.
+        Readings that the filter did not get, see `navfilter.playback.held_out.withhold`.
     """
     scores = {}
     for label, track in tracks.items():

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.evaluation.consistency import figures_of, inside
-from navfilter.filter.tape import Residuals
-from navfilter.handed_over import intervals, needs
-from navfilter.mission import Stream
-from navfilter.track import Track
+from navfilter.filter.records import Residuals
+from navfilter.foundation.arguments import intervals, needs
+from navfilter.models.mission import Stream
+from navfilter.track.track import Track
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -153,7 +153,7 @@ class Comparison:
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        from navfilter.report.page import table_text
+        from navfilter.rendering.page import table_text
 
         return "\n".join([table_text(["", *self.runs], self.rows()), *self.notes()])
 

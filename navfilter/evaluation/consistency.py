@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.diagnostics import Whiteness, acf, whiteness
-from navfilter.filter.chi_square import chi_square_limit
-from navfilter.filter.tape import OUTCOMES, Residuals
-from navfilter.mission import Stream
-from navfilter.sensors import Sensor, traits
-from navfilter.track import Track
+from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.models.mission import Stream
+from navfilter.models.sensors import Sensor, traits
+from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
+from navfilter.track.track import Track
 
 __all__ = [
     "ERRORS",

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from navfilter.check.finding import Finding
-from navfilter.evaluation.constants import constants
+from navfilter.evaluation.calibration_states import constants
 from navfilter.kernels.strapdown import gravity
-from navfilter.mission import Mission
-from navfilter.sensors import Sensor
-from navfilter.state import matrix_from_euler
-from navfilter.track import Track
+from navfilter.models.mission import Mission
+from navfilter.models.sensors import Sensor
+from navfilter.models.state import matrix_from_euler
+from navfilter.track.track import Track
 
 __all__ = ["Correlation", "correlation", "correlation_doubts", "correlations"]
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from navfilter.check.finding import Finding
-from navfilter.evaluation.doubts import LIMITS, Limits, doubts
-from navfilter.evaluation.surfacing import Evidence
-from navfilter.mission import Mission
-from navfilter.track import Track
+from navfilter.evaluation.diagnostics import LIMITS, Limits, doubts
+from navfilter.evaluation.fix_reacquisition import Evidence
+from navfilter.models.mission import Mission
+from navfilter.track.track import Track
 
 __all__ = ["Verdict", "judge"]
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.aside import Aside
-from navfilter.filter.reckoned import Reckoned
-from navfilter.filter.refusals import Refusals
-from navfilter.filter.refused_way import RefusedWay
-from navfilter.filter.scatter import Scatter
-from navfilter.filter.turns import Turns
-from navfilter.kernels import stretch
+from navfilter.faults.alternative_path import RefusedWay
+from navfilter.faults.dead_reckoning_compass import Reckoned
+from navfilter.faults.imu.gyro_scale import Turns
+from navfilter.faults.noise_scale import Scatter
+from navfilter.faults.refusals import Refusals
+from navfilter.faults.velocity_fault import Aside
+from navfilter.kernels import batch
 
 __all__ = ["ChannelMemory"]
 
@@ -27,7 +27,7 @@ UNDISPUTED_S = 600.0
 
 def _time(which: int, meaning: str) -> property:
     """A time that kernels note, too."""
-    at = which - stretch.NOTED
+    at = which - batch.NOTED
 
     def noted(self: ChannelMemory, time_s: float) -> None:
         self.last[at] = time_s
@@ -110,9 +110,9 @@ class ChannelMemory:
     either: bool = False
     last: Array = field(default_factory=lambda: np.array([-math.inf, -math.inf, -math.inf, 0.0, 0.0]))
 
-    last_s = _time(stretch.LAST_S, "Time of the last reading [s].")
-    ticked_s = _time(stretch.TICKED_S, "Of the last tick of its clock [s].")
-    used_s = _time(stretch.TAKEN_S, "Of the last reading that was used; minus infinity before the first [s].")
+    last_s = _time(batch.LAST_S, "Time of the last reading [s].")
+    ticked_s = _time(batch.TICKED_S, "Of the last tick of its clock [s].")
+    used_s = _time(batch.TAKEN_S, "Of the last reading that was used; minus infinity before the first [s].")
 
     @property
     def agrees(self) -> bool:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.filter_memory import FilterMemory
-from navfilter.filter.layout import Layout
+from navfilter.filter.state_layout import Layout
 from navfilter.kernels import kalman, strapdown
-from navfilter.state import NavState
+from navfilter.models.state import NavState
 
 __all__ = ["Estimate"]
 

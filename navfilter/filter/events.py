@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel import Channel
+from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["Correction", "Event", "Listening", "Outcome", "Passed", "Propagated", "Relaid", "StoodIn"]
 

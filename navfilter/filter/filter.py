@@ -1,5 +1,5 @@
-"""The filter: the sole owner of the nominal state, its covariance and the error states. `navfilter.navigator` is what
-users see of it.
+"""The filter: the sole owner of the nominal state, its covariance and the error states.
+`navfilter.navigation.navigator` is what users see of it.
 """
 
 from __future__ import annotations
@@ -10,24 +10,25 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.error_models import per_axis
-from navfilter.filter import agreement, drive_watch, realignment, refused, scatter, shifts
-from navfilter.filter.adoption import Adoption, Change, adoption
-from navfilter.filter.asking import asked, shared
-from navfilter.filter.channel import Channel, usable
+from navfilter.faults import noise_scale, policy, sensor_bias
+from navfilter.faults.imu import bias_drift, monitor, realignment
+from navfilter.faults.imu.bias_glr import JumpWatch
 from navfilter.filter.estimate import Estimate
 from navfilter.filter.events import Correction, Listening, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
-from navfilter.filter.intake import Intake
-from navfilter.filter.jumps import JumpWatch
-from navfilter.filter.layout import Layout
-from navfilter.filter.offsets import described, with_the_same_offsets
-from navfilter.filter.tape import OUTCOMES, Tape
-from navfilter.handed_over import needs
-from navfilter.kernels import kalman, strapdown, stretch
-from navfilter.learning.learned import learning_part
-from navfilter.start import Start
-from navfilter.vehicle import Vehicle
+from navfilter.filter.imu_intake import Intake
+from navfilter.filter.model_change import Adoption, Change, adoption
+from navfilter.filter.python_update import asked, shared
+from navfilter.filter.records import OUTCOMES, Tape
+from navfilter.filter.sensor_channel import Channel, usable
+from navfilter.filter.state_layout import Layout
+from navfilter.foundation.arguments import needs
+from navfilter.kernels import batch, kalman, strapdown
+from navfilter.models.error_models import per_axis
+from navfilter.models.fault_bias import described, with_the_same_offsets
+from navfilter.models.learned_arma import learning_part
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
 
 __all__ = ["Filter"]
 
@@ -54,7 +55,7 @@ class Filter(Estimate):
     in_force : Vehicle
         With the error models that are in force now.
     memory : FilterMemory
-        Everything that changes; copy it to keep it (`navfilter.filter.memory.copied`).
+        Everything that changes; copy it to keep it (`navfilter.foundation.state_values.copied`).
     layout : Layout
         Of its states.
     channels : dict of str to Channel
@@ -88,7 +89,7 @@ class Filter(Estimate):
         self.start, self.tape, drive = start, tape, vehicle.drive
         self.steps, self.hold, self.period_s = drive.steps, drive.hold, drive.period_s
         self.fold_every, self.ahead_s = max(1, round(drive.rate_hz)), max(self.AHEAD_S, 3.0 * self.period_s)
-        self.inertial, self.watch, self.jumps = drive.inertial, drive_watch.DriveWatch(drive), JumpWatch(drive)
+        self.inertial, self.watch, self.jumps = drive.inertial, monitor.DriveWatch(drive), JumpWatch(drive)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
         self.jumped: list[Change] = []
@@ -155,7 +156,7 @@ class Filter(Estimate):
         self.layout = layout = found.layout if found else Layout.of(in_force, self._like)
         g, m = layout.drive, layout.head
         if self.inertial and (self._like is None or self._like[1].drive is not g):
-            self.gyros = shifts.gyros(g, self.period_s)
+            self.gyros = bias_drift.gyros(g, self.period_s)
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, self.watch.expected(in_force.drive, g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
@@ -251,7 +252,7 @@ class Filter(Estimate):
     def heed(self, tell: Listening) -> None:
         """Act on what the watch over the drive has found."""
         w = self.memory.watch
-        if not stretch.heeded(w, self.memory.nav, self.memory.P, self.period_s):
+        if not batch.heeded(w, self.memory.nav, self.memory.P, self.period_s):
             before = self.watch.lost(w)
             self.watch.heed(self, lambda: tell(self._fold()))
             if before or self.watch.lost(w):
@@ -348,9 +349,9 @@ class Filter(Estimate):
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
         own = channel.variances(z, sd)
-        channel.gate[:] = agreement.limits(channel, z, time_s)
-        if channel.spot[stretch.EQUATION]:
-            stretch.correction(
+        channel.gate[:] = sensor_bias.limits(channel, z, time_s)
+        if channel.spot[batch.EQUATION]:
+            batch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
                 *(memory.recent, z, own, channel.ticks(time_s), channel.lead_s + memory.time_s - time_s),
             )
@@ -364,11 +365,11 @@ class Filter(Estimate):
         """What follows from the verdict on a reading, which stands in its channel."""
         channel.stuck, channel.stale = frozen, False
         (nis, dof, used), widened = channel.verdict.tolist(), False
-        described = scatter.heard(self, channel, time_s, frozen)
+        described = noise_scale.heard(self, channel, time_s, frozen)
         if used:
-            refused.used(self, channel, time_s)
+            policy.used(self, channel, time_s)
         elif dof and math.isfinite(nis):
-            widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
+            widened = policy.let_in(self, channel, time_s, nis, int(dof), frozen)
         nis, channel.verdict[0] = described, channel.verdict[0] if widened else described
         if used or widened:
             status = "used"
@@ -386,7 +387,7 @@ class Filter(Estimate):
         return Correction(outcome, time_s, channel)
 
     # ---------------------------------------------------------------- other error models
-    take_up = refused.take_up
+    take_up = policy.take_up
 
     def described_models(self, others: Mapping[str, Errors]) -> dict[str, Errors]:
         """Error models put in force since the start, or others, without the constants of sensors that have jumped."""
@@ -394,7 +395,7 @@ class Filter(Estimate):
 
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
-        (`navfilter.filter.adoption.transfer`).
+        (`navfilter.filter.model_change.transfer`).
 
         Parameters
         ----------

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel
-from navfilter.filter import shifts
+from navfilter.faults.imu import bias_drift
+from navfilter.faults.imu.monitor import CONDITIONS
+from navfilter.faults.imu.monitor import COUNTED as DRIVE_COUNTED
 from navfilter.filter.channel_memory import ChannelMemory
-from navfilter.filter.drive_watch import CONDITIONS
-from navfilter.filter.drive_watch import COUNTED as DRIVE_COUNTED
-from navfilter.filter.intake import IntakeMemory
-from navfilter.kernels import drive_watch, strapdown
+from navfilter.filter.imu_intake import IntakeMemory
+from navfilter.kernels import imu_checks, strapdown
+from navfilter.models.error_models import ErrorModel
 
 __all__ = ["COUNTED", "Errors", "FilterMemory"]
 
@@ -60,16 +60,16 @@ class FilterMemory:
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
     watch : ndarray, shape (7, 22) or (0, 22)
-        What the watch over the drive's axes remembers, see ``navfilter.kernels.drive_watch``.
+        What the watch over the drive's axes remembers, see ``navfilter.kernels.imu_checks``.
     jumps : ndarray, shape (4, J + 2, n + 3) or (0, J + 2, n + 3)
-        What is known of jumps of its biases, see ``navfilter.kernels.jumps``.
+        What is known of jumps of its biases, see ``navfilter.kernels.bias_glr``.
     intake : IntakeMemory
     channels : dict of str to ChannelMemory
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
     counts : dict of str to int
     shifts : ndarray, shape (16, 13)
-        What the biases of its gyros were at the last looks, see `navfilter.filter.shifts`.
+        What the biases of its gyros were at the last looks, see `navfilter.faults.imu.bias_drift`.
     quiet : tuple of float
         Where nothing is heard, be it of the drive or of a sensor: since when [s], and the variances of the position
         then, north, east and down [m^2]. Else empty.
@@ -90,7 +90,7 @@ class FilterMemory:
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]
-    shifts: Array = field(default_factory=shifts.fresh)
+    shifts: Array = field(default_factory=bias_drift.fresh)
     quiet: tuple[float, ...] = ()
 
     def problem(self, fresh: FilterMemory) -> str | None:
@@ -100,7 +100,7 @@ class FilterMemory:
         ----------
         fresh : FilterMemory
             Of the same layout, at the start. Whether the forms agree is the business of
-            `navfilter.filter.memory.misfit`.
+            `navfilter.foundation.state_values.misfit`.
         """
         P = self.P
         if not (np.isfinite(P).all() and np.allclose(P, P.T, rtol=1e-6, atol=0.0) and np.all(np.diag(P) >= 0.0)):
@@ -119,7 +119,7 @@ class FilterMemory:
             return "the attitude is no rotation, or the place not on the Earth"
         if not (self.recent[:, 0] >= 0.0).all():
             return "the last samples do not follow each other"
-        codes = self.watch[:6, [drive_watch.CODE, drive_watch.HEEDED]]
+        codes = self.watch[:6, [imu_checks.CODE, imu_checks.HEEDED]]
         if not np.isin(codes, range(len(CONDITIONS))).all():
             return "the drive's axes are in conditions that do not exist"
         alone = [channel.alone for channel in self.channels.values() if channel.alone]

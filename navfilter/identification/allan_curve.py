@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from navfilter.diagnostics import allan_deviation, allan_edf
 from navfilter.identification.noise_terms import NoiseFit
+from navfilter.timeseries.diagnostics import allan_deviation, allan_edf
 
 __all__ = ["AllanCurve", "allan_curve"]
 

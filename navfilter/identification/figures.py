@@ -16,12 +16,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from navfilter import utc
-from navfilter.arma.roots import root_sd
-from navfilter.diagnostics import WT_WHITE, acf, pacf
+from navfilter.foundation import utc
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification
-from navfilter.report.drawing import COLOURS, WIDTH_IN, line
+from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line
+from navfilter.timeseries.diagnostics import WT_WHITE, acf, pacf
+from navfilter.timeseries.roots import root_sd
 
 __all__ = ["identification_figures"]
 

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from navfilter.arma.fit import ArmaFit, fit_arma
-from navfilter.arma.gauss_markov import GaussMarkovFit, fit_gauss_markov
-from navfilter.arma.model import ArmaModel
-from navfilter.arma.order import OrderTable, cancels, select_order
-from navfilter.diagnostics import Whiteness, allan_deviation, whiteness
+from navfilter.foundation.display import Value
 from navfilter.identification.conditioning import Conditioned, bridged, condition, gap_free
-from navfilter.identification.reading import Reading, read_model
 from navfilter.io import units
 from navfilter.io.series import Series
-from navfilter.notebook import Value
+from navfilter.models.interpretation import Reading, read_model
+from navfilter.timeseries.diagnostics import Whiteness, allan_deviation, whiteness
+from navfilter.timeseries.fit import ArmaFit, fit_arma
+from navfilter.timeseries.gauss_markov import GaussMarkovFit, fit_gauss_markov
+from navfilter.timeseries.model import ArmaModel
+from navfilter.timeseries.order import OrderTable, cancels, select_order
 
 __all__ = ["Identification", "identify", "model_allan_deviation"]
 
@@ -127,7 +127,7 @@ def identify(
 
     Examples
     --------
-    >>> from navfilter.arma.model import simulate_arma
+    >>> from navfilter.timeseries.model import simulate_arma
     >>> result = identify(simulate_arma([], [0.5], 2.0, 3000, seed=1), 10.0, max_p=2, max_q=2)
     >>> result.reading.text
     "moving average from the device's own filtering; minimal order (0,1)"

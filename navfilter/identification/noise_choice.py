@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from navfilter.identification.bands import Bands
+from navfilter.identification.cosine_spectrum import Bands
 from navfilter.identification.noise_terms import NoiseFit, fit_terms
 
 __all__ = ["drive_terms", "sheet_terms", "upper_limit", "usable"]

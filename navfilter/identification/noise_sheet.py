@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.constants import STANDARD_GRAVITY
+from navfilter.foundation.constants import STANDARD_GRAVITY
+from navfilter.foundation.display import Shown
 from navfilter.identification.allan_curve import AllanCurve, allan_curve
-from navfilter.identification.bands import Bands, bands_of
 from navfilter.identification.conditioning import quantisation_step
-from navfilter.identification.lines import Line, reach, spectral_lines
+from navfilter.identification.cosine_spectrum import Bands, bands_of
 from navfilter.identification.noise_choice import drive_terms, sheet_terms, upper_limit, usable
 from navfilter.identification.noise_terms import NoiseFit
-from navfilter.identification.stillness import bridged_rest, moving_together, stillness, without_defects
+from navfilter.identification.spectral_lines import Line, reach, spectral_lines
+from navfilter.identification.static_detection import bridged_rest, moving_together, stillness, without_defects
 from navfilter.io.inertial import ImuRecord
-from navfilter.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
-from navfilter.notebook import Shown
+from navfilter.models.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
 
 __all__ = ["AxisSheet", "NoiseSheet", "NotAtRest", "noise_sheet", "quantisation"]
 

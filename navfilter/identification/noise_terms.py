@@ -1,7 +1,7 @@
 """The noise of an inertial axis at rest as a sum of terms, fitted to its spectrum by likelihood.
 
-Each band of coefficients (see `navfilter.identification.bands`) is a chi-square about its expectation, and the
-curvature of the likelihood is the uncertainty.
+Each band of coefficients (see `navfilter.identification.cosine_spectrum`) is a chi-square about its expectation, and
+the curvature of the likelihood is the uncertainty.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
-from navfilter.identification.bands import Bands, shape
+from navfilter.identification.cosine_spectrum import Bands, shape
 
 __all__ = ["NoiseFit", "Term", "fit_terms"]
 

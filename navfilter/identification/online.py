@@ -13,16 +13,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from navfilter import utc
-from navfilter.arma.model import ArmaModel
-from navfilter.arma.online.bank import ArmaBank
-from navfilter.arma.online.recursive import RecursiveArma
+from navfilter.foundation import utc
 from navfilter.identification.conditioning import Conditioned, condition
-from navfilter.identification.reading import number, read_model
 from navfilter.identification.report import plain, write_page
 from navfilter.io.series import Series
-from navfilter.report.drawing import COLOURS, DASHES, WIDTH_IN, band, line, style
-from navfilter.report.page import table_text
+from navfilter.models.interpretation import number, read_model
+from navfilter.rendering.drawing import COLOURS, DASHES, WIDTH_IN, band, line, style
+from navfilter.rendering.page import table_text
+from navfilter.timeseries.model import ArmaModel
+from navfilter.timeseries.online.order_bank import ArmaBank
+from navfilter.timeseries.online.recursive import RecursiveArma
 
 __all__ = ["Tracks", "track_online", "tracks_figure", "tracks_text", "write_tracks"]
 

@@ -13,16 +13,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from navfilter.arma.roots import root_sd
-from navfilter.error_models import ErrorModel, Sum
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
-from navfilter.identification.reading import number
 from navfilter.io import units
 from navfilter.io.vehicle_toml import _plain as toml_value
 from navfilter.io.vehicle_toml import _toml as toml_text
-from navfilter.report.drawing import style, svg
-from navfilter.report.page import escape, figure_html, heading_html, page, table_html
+from navfilter.models.error_models import ErrorModel, Sum
+from navfilter.models.interpretation import number
+from navfilter.rendering.drawing import style, svg
+from navfilter.rendering.page import escape, figure_html, heading_html, page, table_html
+from navfilter.timeseries.roots import root_sd
 
 __all__ = ["as_dict", "error_lines", "summary_text", "write_identification", "write_page"]
 
@@ -205,7 +205,7 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
 
     Examples
     --------
-    >>> from navfilter.error_models import White
+    >>> from navfilter.models.error_models import White
     >>> error_lines(White(sd=180.0), "mm")
     ('error = {model = "white", sd = 0.18}', 'error=nf.White(sd=0.18)')
     """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from navfilter.io.trust import UNPACKED_BYTES
 from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
-from navfilter.mission import Mission, MissionError
+from navfilter.models.mission import Mission, MissionError
 
 __all__ = ["VehicleError", "read_mission", "read_vehicle", "write_vehicle"]
 
@@ -39,7 +39,7 @@ def read_mission(
 
     Examples
     --------
-    >>> from navfilter.mission import Stream
+    >>> from navfilter.models.mission import Stream
     >>> import tempfile
     >>> mission = Mission("dive", {"depth": Stream([0.0, 1.0], [5.0, 5.1], ("depth_m",))})
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -66,7 +66,7 @@ def read_mission(
 
         return read_mission_toml(path, confine=confine, unpacked_bytes=unpacked_bytes)
     if path.suffix == ".npz":
-        from navfilter.io.native import read_mission_npz
+        from navfilter.io.mission_npz import read_mission_npz
 
         return read_mission_npz(path, unpacked_bytes)
     raise MissionError(

@@ -14,7 +14,7 @@ import numpy as np
 from navfilter.io.learned_toml import closing
 from navfilter.io.vehicle_keys import spellings
 from navfilter.io.vehicle_toml import VehicleError, quoted_key, read_vehicle, write_vehicle
-from navfilter.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 __all__ = ["write_calibrated"]
 

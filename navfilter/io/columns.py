@@ -13,7 +13,7 @@ from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.mission_schema import Clock, Component, Group, Reference
 from navfilter.io.tables import Table
 from navfilter.io.units import UNITS, parse_quantity, unit
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 Array = npt.NDArray[np.float64]
 AXES = "xyz"

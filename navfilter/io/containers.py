@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.mapped_arrays import mapped
 from navfilter.io.trust import Allowance, Place
-from navfilter.mapped import mapped
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 _NPY_MAGIC = b"\x93NUMPY"
 #: A larger array of an archive is not held in memory [bytes]: four hours of inertial samples at 100 Hz.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from navfilter.mechanisation import Mechanisation
-from navfilter.sensors import Sensor
-from navfilter.sensors.traits import Columns, kinds_below
+from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.sensors import Sensor
+from navfilter.models.sensors.traits import Columns, kinds_below
 
 __all__ = ["FORMS", "SD", "SERIES", "TRUTH_ONLY", "contents", "driving", "groups", "kind_of"]
 

@@ -17,7 +17,7 @@ from navfilter.io.table import Table
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import Unit, parse_quantity, unit
-from navfilter.mission import MissionError, Stream
+from navfilter.models.mission import MissionError, Stream
 
 __all__ = ["ImuColumns", "ImuRecord", "read_imu", "size_of"]
 
@@ -186,7 +186,7 @@ def _of_log(path: Path, topic: str) -> ImuRecord | None:
     """
     from navfilter.io.logs import format_of
     from navfilter.io.logs.draft import read_inertial
-    from navfilter.io.logs.known import uses_of
+    from navfilter.io.logs.known_topics import uses_of
     from navfilter.io.logs.survey import survey
 
     if not (path.is_dir() or "*" in path.name or (path.is_file() and format_of(path))):

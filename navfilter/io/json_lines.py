@@ -29,9 +29,9 @@ import numpy.typing as npt
 from navfilter.io.mission_schema import StartSpec
 from navfilter.io.trust import Place
 from navfilter.io.validation import validate
-from navfilter.mission import MissionError, Stream
-from navfilter.start import Start
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import MissionError, Stream
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
 
 __all__ = [
     "BAD_KINDS",

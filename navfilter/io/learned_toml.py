@@ -7,10 +7,10 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from navfilter.error_models import ErrorModel
 from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, write_vehicle
-from navfilter.learning.learned import learned_part
-from navfilter.vehicle import Vehicle
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.learned_arma import learned_part
+from navfilter.models.vehicle import Vehicle
 
 __all__ = ["write_learned"]
 

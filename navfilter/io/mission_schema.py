@@ -15,9 +15,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, create_model, field_validator, model_validator
 
 from navfilter.io.contents import SD, SERIES, contents, groups, kind_of
+from navfilter.io.row_conditions import Where
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
-from navfilter.io.where import Where
 
 TRUTH_GROUPS = ("position", "ecef", "local", "velocity_n", "velocity_ecef", "attitude", "quaternion")
 Reference = str | int

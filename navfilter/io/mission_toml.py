@@ -11,16 +11,16 @@ import numpy.typing as npt
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
 from navfilter.io.contents import SD, driving, groups
-from navfilter.io.epoch import epoch_of
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
-from navfilter.io.merging import block_mean, block_sd, mean, resampled
+from navfilter.io.mission_epoch import epoch_of
 from navfilter.io.mission_schema import Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream, mission_spec
-from navfilter.io.starting import start_of
+from navfilter.io.mission_start import start_of
+from navfilter.io.stream_joining import block_mean, block_sd, mean, resampled
 from navfilter.io.tables import Table, TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place, expand
 from navfilter.io.validation import read_toml, validate
-from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
+from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]

@@ -21,7 +21,7 @@ from navfilter.io import read_mission
 from navfilter.io.tables import Table, TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import unit
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 __all__ = ["Series", "on_a_grid", "read_series"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 __all__ = ["Table", "listing"]
 

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io.row_conditions import Where
 from navfilter.io.table import Table, listing
 from navfilter.io.trust import Place
-from navfilter.io.where import Where
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 if TYPE_CHECKING:
     from navfilter.io.logs import Shelf

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 __all__ = ["UNPACKED_BYTES", "Allowance", "Place"]
 

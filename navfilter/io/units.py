@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from navfilter.constants import STANDARD_GRAVITY
+from navfilter.foundation.constants import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)

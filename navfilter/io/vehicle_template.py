@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from navfilter.io.units import SUFFIXES
-from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Heading, Sensor
-from navfilter.sensors.heading import COMPASS_ERROR
-from navfilter.sensors.traits import kinds_below
-from navfilter.sensors.velocity import DVL_ERROR
+from navfilter.models.mechanisation import DeadReckoning, Imu
+from navfilter.models.sensors import BodyVelocity, Heading, Sensor
+from navfilter.models.sensors.heading import COMPASS_ERROR
+from navfilter.models.sensors.traits import kinds_below
+from navfilter.models.sensors.velocity import DVL_ERROR
 
 __all__ = ["DRIVES", "vehicle_template"]
 

@@ -24,17 +24,17 @@ from typing import Annotated, Any, ClassVar, Literal, Union
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
-import navfilter.cycle  # noqa: F401 - kinds are those whose module has been imported
-from navfilter.arma.model import ArmaModel
-from navfilter.error_models import ErrorModel, Sum
-from navfilter.filter.offsets import Offset
+import navfilter.models.periodic_error  # noqa: F401 - kinds are those whose module has been imported
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
-from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import Coasting, Imu, Mechanisation
-from navfilter.sensors import Sensor
-from navfilter.sensors.traits import kinds_below
-from navfilter.vehicle import RESERVED, Vehicle
+from navfilter.models.error_models import ErrorModel, Sum
+from navfilter.models.fault_bias import Offset
+from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.mechanisation import Coasting, Imu, Mechanisation
+from navfilter.models.sensors import Sensor
+from navfilter.models.sensors.traits import kinds_below
+from navfilter.models.vehicle import RESERVED, Vehicle
+from navfilter.timeseries.model import ArmaModel
 
 Kinds = tuple[type, ...]
 #: Fields whose name in a file is another one: `model` is taken by the kind of the error.

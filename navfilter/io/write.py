@@ -1,4 +1,4 @@
-"""The files of a run: the track in the formats of `navfilter.outputs`, truth.tum, summary.json, and
+"""The files of a run: the track in the formats of `navfilter.io.tracks`, truth.tum, summary.json, and
 vehicle_learned.toml where it learnt.
 """
 
@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from navfilter import utc
+from navfilter.foundation import utc
 from navfilter.io.learned_toml import write_learned
-from navfilter.learning.learned import learned_part
-from navfilter.mission import Mission
-from navfilter.outputs.formats import FORMATS, write_track
-from navfilter.outputs.replacing import replacing
-from navfilter.outputs.tum import write_truth
-from navfilter.track import Track
-from navfilter.track_trust import integrity_figures
-from navfilter.vehicle import DEAD_RECKONING, Vehicle
+from navfilter.io.tracks.atomic_files import replacing
+from navfilter.io.tracks.formats import FORMATS, write_track
+from navfilter.io.tracks.tum import write_truth
+from navfilter.models.learned_arma import learned_part
+from navfilter.models.mission import Mission
+from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
+from navfilter.navigation.track_trust import integrity_figures
+from navfilter.track.track import Track
 
 __all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
 
@@ -57,7 +57,7 @@ def write_outputs(
     vehicle_file, remarks : optional
         For `navfilter.io.learned_toml.write_learned`: the file that the vehicle was read from, and comments.
     formats : collection of str
-        Further formats of the track, by their names in `navfilter.outputs.formats.FORMATS`, such as "kml".
+        Further formats of the track, by their names in `navfilter.io.tracks.formats.FORMATS`, such as "kml".
 
     Returns
     -------

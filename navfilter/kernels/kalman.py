@@ -12,8 +12,8 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, flat, njit, shaped
-from navfilter.kernels.registers import all_of, eight, not_zero, put, times, transposed
+from navfilter.kernels.compiling.decorators import apart, flat, njit, shaped
+from navfilter.kernels.compiling.registers import all_of, eight, not_zero, put, times, transposed
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

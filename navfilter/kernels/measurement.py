@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.decorators import apart, flat, njit, scratch, shaped
-from navfilter.kernels.registers import across, all_of, eight, if_below, load, not_zero, store
+from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.registers import across, all_of, eight, if_below, load, not_zero, store
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from navfilter.filter.channel import Channel
-from navfilter.filter.health import Watch
+from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["doubtful_ticks"]
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.learning.posterior import Line
+from navfilter.learning.slow_posterior import Line
 
 __all__ = ["LearnerMemory", "Order", "memories", "recall"]
 

@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.adoption import Change
-from navfilter.learning.conflict import Stretches
-from navfilter.learning.kept import Kept
-from navfilter.learning.listener_memory import ListenerMemory
-from navfilter.learning.rest import RestMemory
+from navfilter.filter.model_change import Change
+from navfilter.learning.consistency import Stretches
+from navfilter.learning.input_buffer import Kept
+from navfilter.learning.series_memory import ListenerMemory
+from navfilter.learning.static_recorder import RestMemory
 
 __all__ = ["Again", "LearningMemory", "relaid"]
 
@@ -53,7 +53,8 @@ class LearningMemory:
     Attributes
     ----------
     fed_back : ndarray, shape (2m + 2,)
-        Sum of what the corrections fed back, as an open loop would have carried it, see `navfilter.kernels.listen`.
+        Sum of what the corrections fed back, as an open loop would have carried it, see
+        `navfilter.kernels.open_loop_residual`.
     listeners : dict of str to ListenerMemory
     rest : RestMemory or None
     beginning : Kept or None

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.roots import resolved_radius
-from navfilter.kernels import channel as kernel
-from navfilter.kernels import fit as roots
-from navfilter.kernels.channel import LANES
-from navfilter.learning.drift import Drift
-from navfilter.learning.effort import EFFORT
-from navfilter.learning.limits import CLIP, LONGEST_GAP
-from navfilter.learning.slow import SlowPrior, drift_chain, slow_belief
+from navfilter.kernels import arma_fit as roots
+from navfilter.kernels import arma_likelihood as kernel
+from navfilter.kernels.arma_likelihood import LANES
+from navfilter.learning.settings import EFFORT
+from navfilter.learning.slow_prior import SlowPrior, drift_chain, slow_belief
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.window_limits import CLIP, LONGEST_GAP
+from navfilter.timeseries.roots import resolved_radius
 
 __all__ = ["Likelihood", "Point", "maximise"]
 

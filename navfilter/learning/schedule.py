@@ -9,28 +9,33 @@ from weakref import WeakMethod
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel
-from navfilter.filter.adoption import Change, adoption
-from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
-from navfilter.filter.history import Reading
-from navfilter.kernels import listen
-from navfilter.learning import conflict
-from navfilter.learning.conflict import CONTRADICTED, Stretches, departure, is_near
+from navfilter.filter.model_change import Change, adoption
+from navfilter.filter.sensor_channel import Channel
+from navfilter.kernels import open_loop_residual
+from navfilter.learning import consistency
+from navfilter.learning.background import Worker
+from navfilter.learning.consistency import CONTRADICTED, Stretches, departure, is_near
 from navfilter.learning.doubtful import doubtful_ticks
-from navfilter.learning.kept import Kept
-from navfilter.learning.learned import as_described, learning_part
+from navfilter.learning.input_buffer import Kept
 from navfilter.learning.learning_memory import Again, LearningMemory, relaid
-from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
-from navfilter.learning.rest import RestRecorder, estimates
-from navfilter.learning.worker import Worker
+from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
+from navfilter.learning.static_recorder import RestRecorder, estimates
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.learned_arma import as_described, learning_part
+from navfilter.navigation.history import Reading
 
 __all__ = ["LearningSchedule"]
 
 Array = NDArray[np.float64]
-_ASKED = np.where(np.arange(listen.EAR) == listen.MOUNT + listen.ASKED, 1.0, 0.0)
-_NO_RING, _NO_CURSOR, _DEAF, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(listen.EAR), np.zeros(0)
+_ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
+_NO_RING, _NO_CURSOR, _DEAF, _NOTHING = (
+    np.zeros((1, 1)),
+    np.zeros(1, np.int64),
+    np.zeros(open_loop_residual.EAR),
+    np.zeros(0),
+)
 
 
 class LearningSchedule:
@@ -44,7 +49,7 @@ class LearningSchedule:
     behind_s : float
         Readings may come so late [s]: nothing newer is learnt from, and going back by as much is possible.
     worker : Worker, optional
-        Works on what is learnt, see `navfilter.learning.worker`; default: without threads.
+        Works on what is learnt, see `navfilter.learning.background`; default: without threads.
 
     Notes
     -----
@@ -89,7 +94,7 @@ class LearningSchedule:
                 self.listen(name)
         self.beginning = Kept(tuple(vehicle.sensors)) if self.listeners else None
         #: Fixes that nothing is learnt of, of a vehicle with constants that are states.
-        self.fixes = conflict.told_by(filter) - set(self.listeners) if self.listeners else set()
+        self.fixes = consistency.told_by(filter) - set(self.listeners) if self.listeners else set()
         if self.listeners:
             self.worker.start()
         self._levels = self._present_levels()
@@ -169,22 +174,27 @@ class LearningSchedule:
         if isinstance(event, Correction):
             return () if event.channel is None else self._corrected(event, event.channel)
         if isinstance(event, Propagated):
-            listen.carry(self._fed_back, event.transition)
+            open_loop_residual.carry(self._fed_back, event.transition)
         elif isinstance(event, StoodIn):
             for listener in self.listeners.values():
                 listener.begin_anew(event.seconds)
         elif isinstance(event, Relaid):
             self._relaid(event.M)
             if event.anew:
-                self._state_reset(listen.HEADING)
+                self._state_reset(open_loop_residual.HEADING)
         return ()
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
         (outcome, time_s, _), listener, memory = event, self.listeners.get(channel.name), self.filter.memory
-        kind, ring, cursor, mount = listen.NOTHING, _NO_RING, _NO_CURSOR, self.ear(channel.name)[listen.MOUNT :]
+        kind, ring, cursor, mount = (
+            open_loop_residual.NOTHING,
+            _NO_RING,
+            _NO_CURSOR,
+            self.ear(channel.name)[open_loop_residual.MOUNT :],
+        )
         if listener is not None:
             kind, ring, cursor, mount = listener.kind, listener.memory.ring, listener.memory.cursor, listener.mount
-        listen.listen(
+        open_loop_residual.listen(
             *(self._fed_back, channel.mem, channel.dims, channel.places, memory.nav, channel.C, memory.x),
             *(kind, mount, ring, cursor, channel.count, self.filter.drive_output, self._gravity),
         )
@@ -208,7 +218,7 @@ class LearningSchedule:
         return self._due(listener, outcome.accepted)
 
     def ear(self, name: str) -> Array:
-        """With which a kernel listens to a sensor, see `navfilter.kernels.listen`."""
+        """With which a kernel listens to a sensor, see `navfilter.kernels.open_loop_residual`."""
         if name in self.listeners:
             return self.listeners[name].ear
         return _ASKED if name in self.fixes else _DEAF
@@ -240,7 +250,7 @@ class LearningSchedule:
     def _asked_in_vain(self) -> bool:
         """Ask the constants whether they speak for the models, or whether something else comes first."""
         before_s, self._ask_s = self._ask_s, self._ask_s + self.ASKED_S
-        self._told = conflict.stretched(self.filter, self._told, before_s)
+        self._told = consistency.stretched(self.filter, self._told, before_s)
         agrees = self._told.disagreement < CONTRADICTED and is_near(self.filter)
         if self._given_up_s > self._hop_s or agrees:  # what is due then comes first
             return True
@@ -263,7 +273,7 @@ class LearningSchedule:
         """The state has been reset to what sensors of a kind say: an open loop knows nothing of that step, nor of what
         the integrals of it do.
         """
-        chain = (listen.HEADING, listen.VELOCITY, listen.POSITION)
+        chain = (open_loop_residual.HEADING, open_loop_residual.VELOCITY, open_loop_residual.POSITION)
         for listener in self.listeners.values():
             if listener.kind in chain[chain.index(kind) :]:
                 listener.learn_anew()
@@ -382,12 +392,12 @@ class LearningSchedule:
         """
         assert self.again is not None
         if not self.again.given_up:
-            if other._fed_back[-1] > self._fed_back[-1] - conflict.WORSE:  # ln of how likely fixes were
+            if other._fed_back[-1] > self._fed_back[-1] - consistency.WORSE:  # ln of how likely fixes were
                 return False
             self._quiet_s, self._refused = self.early_s, True
             self._go_on()
             return True
-        if conflict.is_better(other.filter, self.filter, self._told):
+        if consistency.is_better(other.filter, self.filter, self._told):
             return False
         self._ask_s += self.ASKED_S * math.floor(0.25 * (self._ask_s - self._start_s) / self.ASKED_S)
         self.again = None

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from navfilter.diagnostics import acf
 from navfilter.evaluation.consistency import LAGS, innovation_series
-from navfilter.mission import Stream
-from navfilter.report.drawing import WIDTH_IN, colour, no_formula
+from navfilter.models.mission import Stream
+from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
+from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
 from navfilter.report.figures import predicted_rms
-from navfilter.report.panels import Band, Line, Panel, Part, Stack
-from navfilter.track import Track
+from navfilter.timeseries.diagnostics import acf
+from navfilter.track.track import Track
 
 __all__ = ["correlation_figure", "heading_against_sigma", "position_against_sigma"]
 

@@ -12,16 +12,16 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from navfilter.evaluation.comparison import Comparison
-from navfilter.evaluation.wording import in_force, learnt
-from navfilter.mission import Mission
+from navfilter.evaluation.learned_text import in_force, learnt
+from navfilter.models.mission import Mission
+from navfilter.rendering.clock import clock_of
+from navfilter.rendering.drawing import style
+from navfilter.rendering.page import Section, escape, page, table_html
+from navfilter.rendering.panels import Mark, Stack
 from navfilter.report import comparison_figures, figures, learnt_figures
-from navfilter.report.clock import clock_of
-from navfilter.report.drawing import style
 from navfilter.report.instrument import Instrument
-from navfilter.report.page import Section, escape, page, table_html
-from navfilter.report.panels import Mark, Stack
 from navfilter.report.plan_view import Plan, plan_view
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["adopted_models", "drawn", "render_comparison", "write_comparison"]
 
@@ -145,7 +145,7 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Stack]]:
 
 
 def adopted_models(tracks: Tracks) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """Every model that was learnt, by run and sensor axis, see `navfilter.track.Track.adopted`."""
+    """Every model that was learnt, by run and sensor axis, see `navfilter.track.track.Track.adopted`."""
     return {label: found for label, track in tracks.items() if (found := track.adopted())}
 
 

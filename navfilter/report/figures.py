@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.chi_square import chi_square_limit
-from navfilter.filter.tape import OUTCOMES
-from navfilter.mission import Mission, Stream
-from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Level, Line, Panel, Part, Points, Stack, short
-from navfilter.report.thinning import broken
-from navfilter.sensors.traits import shown_unit
-from navfilter.track import Track
+from navfilter.filter.records import OUTCOMES
+from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.sensors.traits import shown_unit
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Points, Stack, short
+from navfilter.rendering.thinning import broken
+from navfilter.track.track import Track
 
 __all__ = [
     "NEES",

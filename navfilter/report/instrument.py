@@ -13,15 +13,15 @@ import numpy as np
 from bokeh.resources import Resources
 from matplotlib.figure import Figure
 
-from navfilter.report.clock import Clock
-from navfilter.report.drawing import draw, style, svg
+from navfilter.rendering.clock import Clock
+from navfilter.rendering.drawing import draw, style, svg
+from navfilter.rendering.page import Scripts, escape, figure_html, resource
+from navfilter.rendering.panels import Stack
 from navfilter.report.figures import predicted_rms
 from navfilter.report.live import Live, live_stack
 from navfilter.report.live_plan import COLOURINGS, live_plan
-from navfilter.report.page import Scripts, escape, figure_html, resource
-from navfilter.report.panels import Stack
 from navfilter.report.plan_view import Plan, draw_plan
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["Instrument"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Line, Mark, Panel, Stack, short
-from navfilter.track import Track
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import Band, Line, Mark, Panel, Stack, short
+from navfilter.track.track import Track
 
 __all__ = ["CAPTION", "lane_figure", "lane_marks", "lane_rows"]
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.evaluation.wording import Learnt
-from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Line, Panel, Part, Points, Stack, short
+from navfilter.evaluation.learned_text import Learnt
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import Band, Line, Panel, Part, Points, Stack, short
 
 __all__ = ["SpectrumBand", "adopted_figure", "learnt_band", "learnt_figures", "spectrum_figure"]
 

@@ -27,10 +27,10 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from navfilter.report.clock import Clock
-from navfilter.report.drawing import LEVEL
-from navfilter.report.panels import Band, Level, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
-from navfilter.report.thinning import broken, envelope, extremes, straightened
+from navfilter.rendering.clock import Clock
+from navfilter.rendering.drawing import LEVEL
+from navfilter.rendering.panels import Band, Level, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
+from navfilter.rendering.thinning import broken, envelope, extremes, straightened
 
 __all__ = ["Key", "Live", "item_of", "live_stack", "plain", "toolbox"]
 

@@ -21,11 +21,11 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from bokeh.transform import transform
 
-from navfilter.report.clock import Clock
-from navfilter.report.drawing import colour
+from navfilter.rendering.clock import Clock
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import short
 from navfilter.report.figures import TRUTH
 from navfilter.report.live import Key, Live, item_of, plain, toolbox
-from navfilter.report.panels import short
 from navfilter.report.plan_view import Plan, PlanRun
 
 __all__ = ["COLOURINGS", "live_plan"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from navfilter.evaluation.surfacing import OUTAGE_S, OUTAGE_STEPS, Surfacing
-from navfilter.evaluation.wording import Learnt
+from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Surfacing
+from navfilter.evaluation.learned_text import Learnt
+from navfilter.rendering.panels import Mark, short
 from navfilter.report.lane_figures import lane_marks
-from navfilter.report.panels import Mark, short
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["adoptions", "marks", "outages"]
 

@@ -17,12 +17,12 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 
-from navfilter.filter.chi_square import chi_square_limit
-from navfilter.mission import Mission, Stream
-from navfilter.report.drawing import WIDTH_IN, colour, no_formula
+from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.models.mission import Mission, Stream
+from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
+from navfilter.rendering.panels import short
 from navfilter.report.figures import TRUTH, capped, predicted_rms
-from navfilter.report.panels import short
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view"]
 
@@ -134,7 +134,7 @@ def _ellipse(east: float, north: float, P: Array) -> Shape:
 
 def _metres(place: Array, origin: tuple[float, float]) -> Array:
     """East, north [m] of latitudes and longitudes [rad], shape (n, 2)."""
-    from navfilter.outputs.local import local_enu
+    from navfilter.io.tracks.local import local_enu
 
     return local_enu(np.column_stack([place, np.zeros(len(place))]), (*origin, 0.0))[:, :2]
 

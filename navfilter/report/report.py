@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 
 from navfilter.evaluation.assessment import Assessment, assess
-from navfilter.evaluation.surfacing import Evidence
+from navfilter.evaluation.fix_reacquisition import Evidence
+from navfilter.evaluation.learned_text import Learnt, Scale, error_words, in_force
 from navfilter.evaluation.verdict import Verdict
-from navfilter.evaluation.wording import Learnt, Scale, error_words, in_force
 from navfilter.io.write import summarise
-from navfilter.mission import Mission, Stream
+from navfilter.models.mission import Mission, Stream
+from navfilter.models.sensors.traits import shown_unit
+from navfilter.rendering.clock import clock_of
+from navfilter.rendering.page import Section, escape, list_html, page, table_html
+from navfilter.rendering.panels import Stack
 from navfilter.report import figures
-from navfilter.report.clock import clock_of
 from navfilter.report.instrument import Instrument
 from navfilter.report.lane_figures import CAPTION, lane_figure, lane_rows
 from navfilter.report.marks import marks
-from navfilter.report.page import Section, escape, list_html, page, table_html
-from navfilter.report.panels import Stack
 from navfilter.report.plan_view import plan_view
 from navfilter.report.run_tables import headline_rows, number_text, sensor_rows
 from navfilter.report.sensor_sections import sensor_sections
 from navfilter.report.trust_figures import spell_rows, trust_figure
-from navfilter.sensors.traits import shown_unit
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["render_report", "write_report"]
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.filter.tape import OUTCOMES
+from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import summarise
-from navfilter.mission import Mission
-from navfilter.report.page import table_text
-from navfilter.track import Track
+from navfilter.models.mission import Mission
+from navfilter.rendering.page import table_text
+from navfilter.track.track import Track
 
 __all__ = ["HEADLINES", "headline_rows", "headline_table", "number_text", "sensor_rows", "sensor_table"]
 

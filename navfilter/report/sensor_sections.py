@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from navfilter.evaluation.wording import Learnt
-from navfilter.filter.tape import OUTCOMES
+from navfilter.evaluation.learned_text import Learnt
+from navfilter.filter.records import OUTCOMES
+from navfilter.rendering.page import Section, escape
+from navfilter.rendering.panels import Mark, Stack
 from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.marks import adoptions, outages
-from navfilter.report.page import Section, escape
-from navfilter.report.panels import Mark, Stack
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["sensor_sections"]
 

@@ -6,12 +6,12 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from navfilter.error_models import ErrorModel, Sum
-from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Line, Panel, Part, Stack, short
-from navfilter.sensors.traits import shown_unit
-from navfilter.track import Track
-from navfilter.vehicle import Vehicle
+from navfilter.models.error_models import ErrorModel, Sum
+from navfilter.models.sensors.traits import shown_unit
+from navfilter.models.vehicle import Vehicle
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import Band, Line, Panel, Part, Stack, short
+from navfilter.track.track import Track
 
 __all__ = ["ShownState", "shown_states", "states_figure"]
 

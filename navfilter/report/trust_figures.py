@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.mission import Stream
-from navfilter.report.drawing import colour
-from navfilter.report.panels import Line, Mark, Panel, Part, Stack, short
-from navfilter.track import Track
-from navfilter.track_trust import Spell, spells
+from navfilter.models.mission import Stream
+from navfilter.navigation.track_trust import Spell, spells
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import Line, Mark, Panel, Part, Stack, short
+from navfilter.track.track import Track
 
 __all__ = ["CAPTION", "spell_rows", "trust_figure"]
 

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from navfilter.filter import snapshot
+from navfilter.navigation import snapshot
 from navfilter.service.protocol import event_line, to_line
 
 __all__ = ["Disk", "StateFile"]

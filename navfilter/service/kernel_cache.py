@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from navfilter.vehicle import Vehicle
+    from navfilter.models.vehicle import Vehicle
 
 __all__ = ["LIST", "compile_kernels", "discard_damaged", "make_usable", "seal", "warm"]
 
@@ -77,7 +77,7 @@ def compile_kernels(say: Say, vehicle: Vehicle | None = None, *, smoother: bool 
 
     Given a vehicle, only what that one needs; without what only the smoother needs, if so asked.
     """
-    from navfilter.warming import warm_up
+    from navfilter.playback.warm_up import warm_up
 
     folder = _folder()
     try:

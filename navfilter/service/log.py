@@ -15,13 +15,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from navfilter.filter.snapshot import fingerprint
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import Item, LineParser, Note, log_lines
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.snapshot import fingerprint
 from navfilter.service.protocol import event_line
 from navfilter.service.session import Options
-from navfilter.vehicle import Vehicle
 
 __all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "remade_log", "run_note"]
 

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from navfilter.io.json_lines import Note
+from navfilter.models.vehicle import Vehicle
 from navfilter.service.kernel_cache import warm
 from navfilter.service.log import LOG_FILE, log_items, logged_options
-from navfilter.service.outlet import Outlet
+from navfilter.service.output import Outlet
 from navfilter.service.session import Session
 from navfilter.service.sources import Stopped, StopSignal
-from navfilter.vehicle import Vehicle
 
 __all__ = ["replay_log"]
 

@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from navfilter.io.json_lines import Item, LineParser, Note, Reading
+from navfilter.models.vehicle import Vehicle
+from navfilter.service.counters import Tally
 from navfilter.service.disk import Disk
 from navfilter.service.instruments import Instrument
 from navfilter.service.kernel_cache import warm
 from navfilter.service.log import LOG_FILE, log_items, prepare_log, remade_log, run_note
-from navfilter.service.outlet import Outlet
+from navfilter.service.output import Outlet
 from navfilter.service.protocol import Lines, event_line
 from navfilter.service.resuming import earlier_run
 from navfilter.service.session import Options, Session
 from navfilter.service.setup import Service
 from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
-from navfilter.service.tally import Tally
-from navfilter.vehicle import Vehicle
 
 __all__ = ["ORDERED", "UNASKED", "run"]
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.filter.health import Health
+from navfilter.faults.sensor_monitor import Health
 from navfilter.io.json_lines import LONGEST_LINE
-from navfilter.state import NavState
+from navfilter.models.state import NavState
 
 __all__ = ["Lines", "event_line", "integrity_fields", "state_fields", "to_line"]
 

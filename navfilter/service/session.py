@@ -15,19 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.alignment import align
-from navfilter.filter.health import Health
-from navfilter.filter.intake import Intake
+from navfilter.faults.sensor_monitor import Health
+from navfilter.filter.imu_intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
-from navfilter.lanes import LaneNavigator
-from navfilter.magnetic import believable
-from navfilter.mission import Mission
-from navfilter.navigator import Navigator
+from navfilter.models.magnetic import believable
+from navfilter.models.mission import Mission
+from navfilter.models.start import Start
+from navfilter.models.state import NavState
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.alignment import align
+from navfilter.navigation.lanes.navigator import LaneNavigator
+from navfilter.navigation.navigator import Navigator
 from navfilter.service.pairing import Pairing
 from navfilter.service.protocol import event_line, integrity_fields, state_fields, to_line
-from navfilter.start import Start
-from navfilter.state import NavState
-from navfilter.vehicle import Vehicle
 
 __all__ = ["Options", "Session"]
 

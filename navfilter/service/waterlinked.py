@@ -9,8 +9,8 @@ from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 from navfilter.io.logs.waterlinked import number, report_in, valid_s
+from navfilter.models.vehicle import Vehicle
 from navfilter.service.protocol import to_line
-from navfilter.vehicle import Vehicle
 
 __all__ = ["WaterLinked", "waterlinked"]
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from navfilter.mission import Mission
+from navfilter.models.mission import Mission
+from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Faults, Models
 from navfilter.simulation.hard_errors import HARD
 from navfilter.simulation.manoeuvres import Lawnmower
@@ -18,7 +19,6 @@ from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import StartErrors, simulate
 from navfilter.simulation.studies import BELIEF, USUAL, Study
-from navfilter.vehicle import Vehicle
 
 __all__ = ["GYROS", "MOTIONS", "STUDIES", "Staged", "Study", "stage"]
 

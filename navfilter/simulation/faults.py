@@ -17,7 +17,7 @@ import scipy  # its parts are imported when they are first used: that takes a se
 from numpy.typing import NDArray
 from scipy.linalg import schur
 
-from navfilter.error_models import ErrorModel, per_axis
+from navfilter.models.error_models import ErrorModel, per_axis
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -37,7 +37,7 @@ class Changing:
 
     Examples
     --------
-    >>> from navfilter.error_models import White
+    >>> from navfilter.models.error_models import White
     >>> Changing(((0.0, White(sd=0.5)), (1800.0, White(sd=1.5)))).steps[1][0]
     1800.0
     """

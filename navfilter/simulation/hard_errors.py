@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.studies import Study, always, believing, compass, swing
-from navfilter.vehicle import Vehicle
 
 __all__ = ["HARD"]
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from navfilter.constants import MILLI_G
-from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, White
-from navfilter.mechanisation import Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.foundation.constants import MILLI_G
+from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.models.mechanisation import Imu
+from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position
 
 _DEG = math.pi / 180.0
 _HOUR_S = 3600.0

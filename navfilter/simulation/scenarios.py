@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from navfilter.error_models import Arma, ErrorModel, GaussMarkov, White
-from navfilter.mechanisation import DeadReckoning
-from navfilter.mission import Mission
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity
+from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, White
+from navfilter.models.mechanisation import DeadReckoning
+from navfilter.models.mission import Mission
+from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity
+from navfilter.models.vehicle import Vehicle
 from navfilter.simulation import presets
 from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.manoeuvres import (
@@ -26,7 +27,6 @@ from navfilter.simulation.manoeuvres import (
 )
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.simulate import StartErrors, simulate
-from navfilter.vehicle import Vehicle
 
 _DEG = math.pi / 180.0
 COMPASS = GaussMarkov(sd=0.6 * _DEG, tau_s=30.0)

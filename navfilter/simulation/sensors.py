@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from navfilter.sensors.sensor import Reading
+from navfilter.models.sensors.sensor import Reading
 from navfilter.simulation.motion import Kinematics, wrap
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Models
 from navfilter.simulation.scenarios import COMPASS
-from navfilter.vehicle import Vehicle
 
 __all__ = ["BELIEF", "USUAL", "Study", "always", "believing", "compass", "rated", "scaled", "swing"]
 

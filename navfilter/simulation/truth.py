@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from navfilter.error_models import ErrorModel, Sum, White, per_axis
+from navfilter.models.error_models import ErrorModel, Sum, White, per_axis
+from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.scenarios import SCENARIOS
-from navfilter.vehicle import Vehicle
 
 __all__ = ["true_vehicle"]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.evaluation.montecarlo.slot_tables import SlotRow, named
 from navfilter.evaluation.montecarlo.slots import SURPRISED_S
-from navfilter.report.page import table_text
+from navfilter.rendering.page import table_text
 
 __all__ = ["JUDGED", "Bar", "bar_table", "bars"]
 

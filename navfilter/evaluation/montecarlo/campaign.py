@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.evaluation.baselines import fitted_kinds, rivals
 from navfilter.evaluation.montecarlo.scores import TRACKS, curve_times, run_record
 from navfilter.evaluation.montecarlo.slots import Slots, slots
 from navfilter.evaluation.montecarlo.store import Record, Store
-from navfilter.evaluation.rivals import fitted_kinds, rivals
-from navfilter.mission import Mission
-from navfilter.playback import replay, replay_heard
+from navfilter.models.mission import Mission
+from navfilter.playback.replay import replay, replay_heard
 from navfilter.simulation.campaigns import Staged, stage
-from navfilter.track import Track
+from navfilter.track.track import Track
 
 __all__ = ["Campaign", "Results", "collect", "program", "run_campaign", "run_seed"]
 
@@ -141,7 +141,7 @@ def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> dict[str, 
     campaign : Campaign
     seed : int
     models : sequence of str
-        See `navfilter.evaluation.rivals`.
+        See `navfilter.evaluation.baselines`.
 
     Returns
     -------
@@ -228,7 +228,7 @@ def run_campaign(
     seeds : sequence of int
         One mission each.
     models : sequence of str
-        See `navfilter.evaluation.rivals`.
+        See `navfilter.evaluation.baselines`.
     folder : path
         Finished runs are kept there as they come; a campaign that was stopped continues from them.
     executor : concurrent.futures.Executor, optional

@@ -20,8 +20,8 @@ from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.statistics import chi_square_band
 from navfilter.evaluation.montecarlo.store import write_whole
-from navfilter.report.clock import Clock
-from navfilter.report.drawing import WIDTH_IN, colour, style, time_axis
+from navfilter.rendering.clock import Clock
+from navfilter.rendering.drawing import WIDTH_IN, colour, style, time_axis
 
 __all__ = ["end_error_figure", "envelope_figure", "nees_figure", "write_figures"]
 

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.diagnostics import whiteness
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, Slots, slot_figures
-from navfilter.filter.tape import Residuals
-from navfilter.mission import Mission
-from navfilter.track import Track, TrackErrors
+from navfilter.filter.records import Residuals
+from navfilter.models.mission import Mission
+from navfilter.timeseries.diagnostics import whiteness
+from navfilter.track.track import Track, TrackErrors
 
 __all__ = ["CURVES", "SCORES", "TRACKS", "curve_times", "run_record"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
 from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval
-from navfilter.report.page import table_text
+from navfilter.rendering.page import table_text
 
 __all__ = ["SlotRow", "named", "slot_rows", "slot_table"]
 

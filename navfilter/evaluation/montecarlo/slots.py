@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.track import Track, TrackErrors
+from navfilter.track.track import Track, TrackErrors
 
 __all__ = ["RMS", "SLOT_SCORES", "Slots", "slot_figures", "slots"]
 

@@ -29,7 +29,7 @@ from navfilter.evaluation.montecarlo.statistics import (
     share_interval,
 )
 from navfilter.evaluation.montecarlo.store import write_whole
-from navfilter.report.page import table_text
+from navfilter.rendering.page import table_text
 
 __all__ = ["REFERENCES", "Row", "ratios", "rows", "table", "write_tables"]
 

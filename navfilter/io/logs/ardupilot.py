@@ -21,8 +21,8 @@ import numpy.typing as npt
 from pymavlink import mavutil
 
 from navfilter.io.logs import dataflash
-from navfilter.io.logs.choosing import Wanted, without_instance
-from navfilter.mission import MissionError
+from navfilter.io.logs.topic_names import Wanted, without_instance
+from navfilter.models.mission import MissionError
 
 __all__ = ["records"]
 

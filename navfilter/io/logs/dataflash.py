@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.DFReader import DFFormat, null_term
 
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.progress import byte_bar
-from navfilter.mission import MissionError
+from navfilter.io.logs.topic_names import Wanted
+from navfilter.models.mission import MissionError
 
 __all__ = ["records"]
 

@@ -11,18 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from navfilter import utc
-from navfilter.alignment import align
+from navfilter.foundation import utc
 from navfilter.io.logs.draft_streams import Drafted, chosen_streams, inertial, still
 from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
-from navfilter.io.logs.known import READINGS, Use
+from navfilter.io.logs.known_topics import READINGS, Use
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.mission_toml import read_mission_toml
 from navfilter.io.vehicle_toml import read_vehicle
-from navfilter.mission import Mission, MissionError, Stream
-from navfilter.sensors import Heading, Position
-from navfilter.start import Start
-from navfilter.vehicle import Vehicle
+from navfilter.models.mission import Mission, MissionError, Stream
+from navfilter.models.sensors import Heading, Position
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.alignment import align
 
 __all__ = ["Draft", "draft", "read_inertial"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from navfilter.io.logs.draft_vehicle import LIKE
-from navfilter.io.logs.known import READINGS, Use, uses_of
+from navfilter.io.logs.known_topics import READINGS, Use, uses_of
 from navfilter.io.logs.survey import Survey, Topic
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 __all__ = ["Drafted", "chosen_streams", "inertial", "still"]
 

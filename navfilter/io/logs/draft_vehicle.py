@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from navfilter.mission import Mission, Stream
+from navfilter.models.mission import Mission, Stream
 
 __all__ = ["LIKE", "Like", "usual_kind", "vehicle_text"]
 
@@ -121,7 +121,7 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
     ----------
     mission : Mission
     readings : dict of str to str
-        Stream -> what it reads (see `navfilter.io.logs.known.READINGS`).
+        Stream -> what it reads (see `navfilter.io.logs.known_topics.READINGS`).
     drive : str
         ``"imu"`` or ``"dead-reckoning"``.
     like : str

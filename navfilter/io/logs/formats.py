@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from navfilter.io.logs.lines import first_bytes
-from navfilter.mission import MissionError
+from navfilter.models.mission import MissionError
 
 __all__ = ["FORMATS", "Format", "format_of", "log_format"]
 

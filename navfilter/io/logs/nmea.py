@@ -20,9 +20,9 @@ from typing import Any
 from pynmeagps import NMEAReader
 from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError
 
-from navfilter.io.logs.carrying import Carrier
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.lines import lines
+from navfilter.io.logs.sentence_times import Carrier
+from navfilter.io.logs.topic_names import Wanted
 
 __all__ = ["records", "short_name"]
 

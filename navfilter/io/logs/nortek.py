@@ -18,8 +18,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.progress import byte_bar
+from navfilter.io.logs.topic_names import Wanted
 
 __all__ = ["records"]
 

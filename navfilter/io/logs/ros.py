@@ -17,9 +17,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.progress import bar
-from navfilter.mission import MissionError
+from navfilter.io.logs.topic_names import Wanted
+from navfilter.models.mission import MissionError
 
 __all__ = ["kinds", "records"]
 

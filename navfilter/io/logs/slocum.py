@@ -15,9 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.lines import lines
-from navfilter.mission import MissionError
+from navfilter.io.logs.topic_names import Wanted
+from navfilter.models.mission import MissionError
 
 __all__ = ["records"]
 

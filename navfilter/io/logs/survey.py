@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from navfilter.io.logs.choosing import Wanted
+from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
-from navfilter.io.logs.gathering import LOG_TIME, TopicColumns
-from navfilter.io.logs.shelf import files_of
-from navfilter.mission import MissionError
+from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
+from navfilter.io.logs.topic_names import Wanted
+from navfilter.models.mission import MissionError
 
 __all__ = ["Survey", "Topic", "survey", "survey_text"]
 

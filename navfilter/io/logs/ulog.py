@@ -15,8 +15,8 @@ from typing import Any
 
 from pyulog import ULog
 
-from navfilter.io.logs.choosing import Wanted
-from navfilter.mission import MissionError
+from navfilter.io.logs.topic_names import Wanted
+from navfilter.models.mission import MissionError
 
 __all__ = ["records"]
 

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.lines import lines
+from navfilter.io.logs.topic_names import Wanted
 
 __all__ = ["number", "records", "report_in", "valid_s"]
 

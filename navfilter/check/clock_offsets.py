@@ -1,0 +1,113 @@
+"""Clocks that are far off, so that a stream follows none of the others: one keeps GPS time and another one UTC, or was
+set by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from navfilter.check.course_fit import WINDOW_S, Paths, share
+from navfilter.check.finding import Finding
+from navfilter.check.series import Series, correlation, window_edges
+from navfilter.models.mission import Array
+
+__all__ = ["far_finding", "late_by", "late_path_by"]
+
+#: Delays are looked for up to this, or a quarter of the time that both are there [s], in steps of so much [s].
+MOST_S, STEP_S = 120.0, 0.5
+#: Less is found where sensors are compared closely [s].
+LEAST_S = 2.5
+#: What a delay leaves unexplained at most [1], and of what is left without one [1].
+LEFT, OF_THAT = 0.19, 0.3
+#: What follows, or goes the other way, with less than this unexplained, at a delay up to that, needs no other [1], [s].
+CLOSE, CLOSELY_S = 0.1, 1.0
+#: So many windows are compared at least.
+LEAST_WINDOWS = 20
+#: By how much clocks differ that people mix up [s].
+KNOWN = {18.0: "GPS time is 18 s ahead of UTC", 37.0: "TAI is 37 s ahead of UTC", 19.0: "TAI is 19 s ahead of GPS time"}
+
+
+def late_by(reference: Series, other: Series, window_s: float) -> float | None:
+    """By how much a series is late against another one that it follows, by their increments over windows; None where it
+    follows closely as it is, or with no delay.
+
+    Parameters
+    ----------
+    reference, other : (ndarray, ndarray)
+        Times [s] and values of what should be the same but for a constant factor.
+    window_s : float
+    """
+    begin, end = (pick(reference[0][i], other[0][i]) for pick, i in ((max, 0), (min, -1)))
+
+    def unexplained(late_s: float) -> float:
+        """One that goes the other way is no clock's."""
+        edges = window_edges(begin + max(-late_s, 0.0), end - window_s - max(late_s, 0.0), window_s / 4.0)
+        if edges.size < LEAST_WINDOWS:
+            return 1.0
+        wanted, found = (
+            np.interp(edges + window_s + shift, *series) - np.interp(edges + shift, *series)
+            for series, shift in ((reference, 0.0), (other, late_s))
+        )
+        agreement, _ = correlation(wanted, found)
+        return 1.0 - (agreement if abs(late_s) <= LEAST_S else max(agreement, 0.0)) ** 2
+
+    return _best(unexplained, min(MOST_S, 0.25 * (end - begin)))
+
+
+def late_path_by(paths: Paths, left: float) -> float | None:
+    """By how much a velocity and its heading are late against the positions; None as for `late_by`.
+
+    Parameters
+    ----------
+    paths : Paths
+    left : float
+        What is unexplained of the positions' way without a large delay, whatever the signs [1].
+    """
+    first = max(paths.time_s[0], paths.heading[0][0])
+    last = min(paths.time_s[-1], paths.heading[0][-1]) - WINDOW_S
+    wanted = paths.moved(paths.places.time_s, paths.places.plane)
+
+    def unexplained(late_s: float) -> float:
+        there = (paths.edges + late_s >= first) & (paths.edges + late_s <= last)
+        if np.count_nonzero(there) < max(LEAST_WINDOWS, 0.5 * there.size) or not wanted[there].any():
+            return 1.0
+        if abs(late_s) <= LEAST_S:
+            return left
+        return share(paths.way(paths.body, late_s)[there], wanted[there])[0]
+
+    return _best(unexplained, min(MOST_S, 0.25 * float(paths.edges[-1] - paths.edges[0])))
+
+
+def _best(unexplained: Callable[[float], float], most_s: float) -> float | None:
+    """The delay that explains most, if it is a large one and does so by far better than a small one."""
+    if most_s <= LEAST_S:
+        return None
+    late_s = np.arange(-most_s, most_s + 0.5 * STEP_S, STEP_S)
+    left: Array = np.array([unexplained(float(s)) for s in late_s])
+    near = np.abs(late_s) <= LEAST_S
+    best = int(np.argmin(left))
+    if near[best] or np.min(left[np.abs(late_s) <= CLOSELY_S]) < CLOSE:
+        return None
+    finer = {float(s): unexplained(float(s)) for s in late_s[best] + np.linspace(-STEP_S, STEP_S, 21)}
+    found = min(finer, key=lambda s: finer[s])
+    return found if finer[found] <= min(LEFT, OF_THAT * float(np.min(left[near]))) else None
+
+
+def far_finding(name: str, what: str, late_s: float) -> Iterator[Finding]:
+    """That a stream is so late against another, and what that may be.
+
+    Parameters
+    ----------
+    name : str
+        Of the stream.
+    what : str
+        What is late, and against what: two parts of a sentence around ``{}``.
+    late_s : float
+        Negative: early [s].
+    """
+    text = what.format(f"{abs(late_s):.1f} s {'late' if late_s > 0.0 else 'early'}")
+    known = next((words for s, words in KNOWN.items() if abs(abs(late_s) - s) < STEP_S), "")
+    cure = f"One of the two has another clock{f': {known}' if known else ''}. Set time.offset_s = {-late_s:.1f} in"
+    yield Finding("error", name, text, f"{cure} [streams.{name}] on top of what it is now, or the opposite there.")

@@ -1,0 +1,375 @@
+"""The command line: ``navfilter demo | replay | run | compare | calibrate | montecarlo | identify | simulate | check |
+mission | vehicle | warmup``.
+
+Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used,
+so that ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something
+wrong, or a replayed track is not to be trusted, 2 wrong usage or input, 130 interrupted, 141 whoever read the output
+has gone; `run` has its own (see its help).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from navfilter.commands import replay as replay_command
+from navfilter.commands.console import (
+    add_force_argument,
+    add_reading_arguments,
+    announce_compilation,
+    complain,
+    new_files,
+    output_folder,
+    positive,
+    read,
+    seed,
+    speaker,
+)
+
+__all__ = ["main"]
+
+OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
+
+_ABOUT = (
+    "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how "
+    "honest the result is."
+)
+_FIRST_STEPS = """\
+first steps:
+  navfilter demo                                  a simulated mission of one hour, replayed and smoothed
+  navfilter simulate lawnmower --out dive         make a mission to play with
+  navfilter mission --init dive.mcap --out dive   a mission.toml and a vehicle.toml for a log of yours
+  navfilter check dive/mission.npz                look for the usual mistakes in a recording
+  navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
+  navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
+  navfilter calibrate dive/mission.npz --vehicle dive/vehicle.toml --out calibrated.toml
+  navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
+  navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
+
+'navfilter COMMAND --help' explains one command.
+
+exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
+replay, demo), or nothing better was found
+(calibrate), 2 wrong usage or input, 130 interrupted.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Wrong usage is one line on standard error."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(WRONG, f"navfilter: {message} (see '{self.prog} --help')\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default: those of the process.
+    """
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.run is None:
+        parser.print_help()
+        return OK
+    try:
+        if options.compiled:
+            from navfilter.service.kernel_cache import make_usable
+
+            make_usable(complain)
+        return options.run(options)
+    except KeyboardInterrupt:
+        return _fail("interrupted.", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has gone; what Python still holds for it must not be flushed into the closed pipe.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNHEARD
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}.", WRONG)
+    except (ValueError, LookupError, MemoryError) as error:
+        return _fail(str(error.args[0]) if error.args else type(error).__name__, WRONG)
+
+
+def _fail(text: str, code: int) -> int:
+    complain(f"navfilter: {text}")
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="navfilter", description=_ABOUT, epilog=_FIRST_STEPS, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
+    parser.set_defaults(run=None)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
+    for add in (
+        _add_demo,
+        _add_replay,
+        _add_run,
+        _add_compare,
+        _add_calibrate,
+        _add_montecarlo,
+        _add_identify,
+        _add_simulate,
+        _add_check,
+        _add_mission,
+        _add_vehicle,
+        _add_warmup,
+    ):
+        add(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for: that takes longer than parsing everything."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"navfilter {version('navfilter')}")
+        parser.exit(OK)
+
+
+def _command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, epilog: str
+) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=about,
+        description=about[0].upper() + about[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run, compiled=True)
+    return parser
+
+
+# --- demo, replay ---------------------------------------------------------------------------------------------------
+
+
+def _add_demo(commands: Any) -> None:
+    replay_command.add_demo_arguments(_command(commands, "demo", replay_command.demo, *replay_command.DEMO))
+
+
+def _add_replay(commands: Any) -> None:
+    replay_command.add_replay_arguments(_command(commands, "replay", replay_command.replay, *replay_command.REPLAY))
+
+
+# --- compare --------------------------------------------------------------------------------------------------------
+
+
+def _add_compare(commands: Any) -> None:
+    from navfilter.commands import compare as compare_command
+
+    compare_command.add_arguments(
+        _command(commands, "compare", compare_command.run, compare_command.ABOUT, compare_command.EPILOG)
+    )
+
+
+# --- calibrate ------------------------------------------------------------------------------------------------------
+
+
+def _add_calibrate(commands: Any) -> None:
+    from navfilter.commands import calibrate as command
+
+    command.add_arguments(_command(commands, "calibrate", command.run, command.ABOUT, command.EPILOG))
+
+
+# --- run ------------------------------------------------------------------------------------------------------------
+
+
+def _add_run(commands: Any) -> None:
+    from navfilter.commands import run as run_command
+
+    run_command.add_arguments(_command(commands, "run", run_command.run, run_command.ABOUT, run_command.EPILOG))
+
+
+# --- montecarlo -----------------------------------------------------------------------------------------------------
+
+
+def _add_montecarlo(commands: Any) -> None:
+    from navfilter.commands import montecarlo
+
+    montecarlo.add_arguments(_command(commands, "montecarlo", montecarlo.run, montecarlo.ABOUT, montecarlo.EPILOG))
+
+
+# --- identify -------------------------------------------------------------------------------------------------------
+
+
+def _add_identify(commands: Any) -> None:
+    from navfilter.commands import identify as identify_command
+
+    identify_command.add_arguments(
+        _command(commands, "identify", identify_command.run, identify_command.ABOUT, identify_command.EPILOG)
+    )
+
+
+# --- simulate -------------------------------------------------------------------------------------------------------
+
+
+def _add_simulate(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "simulate",
+        _simulate,
+        "simulate a mission with its truth",
+        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml "
+        "beside it.\n"
+        "Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is "
+        "the oracle of\n"
+        "'navfilter compare'.\n\n"
+        "examples:\n"
+        "  navfilter simulate --list\n"
+        "  navfilter simulate lawnmower --seed 3 --duration 900 --out dive\n",
+    )
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="see --list")
+    parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
+    parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
+    add_force_argument(parser)
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
+    from navfilter.simulation.truth import true_vehicle
+
+    if options.list:
+        width = max(map(len, SCENARIOS))
+        for name, scenario in SCENARIOS.items():
+            print(f"{name:{width}}  {scenario.duration_s / 60:3.0f} min  {scenario.about}")
+        return OK
+    if options.scenario is None or options.out is None:
+        raise ValueError("simulate needs a SCENARIO and --out (scenarios: navfilter simulate --list).")
+    out = Path(options.out)
+    vehicle, mission = simulate_scenario(options.scenario, options.seed, options.duration)
+    if out.suffix == ".npz":
+        to = out, out.with_suffix(".toml")
+        new_files((*to, out.with_name(f"{out.stem}_true.toml")), options.force)
+    else:
+        folder = output_folder(out, options.force)
+        to = folder / "mission.npz", folder / "vehicle.toml"
+    replay_command.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
+    say = speaker(options.quiet)
+    say(f"{mission.duration_s:.0f} s, streams {', '.join(mission.streams)}. Replay it with:")
+    say(f"  navfilter replay {to[0]} --vehicle {to[1]} --smooth --out result")
+    return OK
+
+
+# --- check ----------------------------------------------------------------------------------------------------------
+
+
+def _add_check(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "check",
+        _check,
+        "look at a recording before it is replayed",
+        "Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity "
+        "upside down, axes\n"
+        "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would "
+        "spoil a replay.\n\n"
+        "examples:\n"
+        "  navfilter check dive_042\n"
+        "  navfilter check dive.mcap                            a bare log: what is in it, and mapped as by\n"
+        "                                                       'navfilter mission --init'\n"
+        "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings "
+        "applied\n",
+    )
+    parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
+    parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add_reading_arguments(parser)
+    parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
+
+
+def _check(options: argparse.Namespace) -> int:
+    from navfilter.check import check_mission, report_text
+    from navfilter.io import read_vehicle
+
+    say = speaker(options.quiet)
+    mission = _of_a_log(Path(options.mission), say) or read(options)
+    findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
+    say(report_text(mission, findings))
+    return FOUND if any(finding.severity == "error" for finding in findings) else OK
+
+
+def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
+    """A bare log as the mission that ``navfilter mission --init`` would make of it; None for a mission."""
+    from navfilter.io.logs import format_of
+
+    is_mission = not path.exists() or (path / "mission.toml").exists() or path.suffix in (".toml", ".npz")
+    if is_mission or format_of(path) is None:
+        return None
+    from navfilter.io.logs.draft import draft
+    from navfilter.io.logs.survey import survey, survey_text
+
+    found = survey(path)
+    say(survey_text(found))
+    made = draft(found, path.parent)
+    say("\nMapped as 'navfilter mission --init' would. Guessed:")
+    for guess in made.guesses:
+        say(f"  {guess}")
+    say("")
+    return made.mission
+
+
+# --- mission --------------------------------------------------------------------------------------------------------
+
+
+def _add_mission(commands: Any) -> None:
+    from navfilter.commands import mission as command
+
+    command.add_arguments(_command(commands, "mission", command.run, command.ABOUT, command.EPILOG))
+
+
+# --- vehicle --------------------------------------------------------------------------------------------------------
+
+
+def _add_vehicle(commands: Any) -> None:
+    from navfilter.commands import vehicle as vehicle_command
+
+    vehicle_command.add_arguments(
+        _command(commands, "vehicle", vehicle_command.run, vehicle_command.ABOUT, vehicle_command.EPILOG)
+    )
+
+
+# --- warmup ---------------------------------------------------------------------------------------------------------
+
+
+def _add_warmup(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "warmup",
+        _warmup,
+        "compile everything now, so that nothing compiles during a dive",
+        "What is compiled is kept: the next process starts at once. Run it once after every installation or update.\n",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _warmup(options: argparse.Namespace) -> int:
+    import time
+
+    from navfilter.kernels.compiling.progress import show_compilation
+    from navfilter.service.kernel_cache import compile_kernels
+
+    say = (lambda text: None) if options.quiet else complain
+    if not options.quiet:
+        show_compilation()
+    announce_compilation(say)
+    began = time.perf_counter()
+    compile_kernels(say)
+    speaker(options.quiet)(f"ready ({time.perf_counter() - began:.1f} s).")
+    return OK

@@ -1,0 +1,112 @@
+"""What became of the constants that a vehicle.toml is unsure of: clocks, lever arms, scales, biases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from scipy.special import ndtr, ndtri
+
+from navfilter.check.finding import Finding, Severity
+from navfilter.check.units_text import amount
+from navfilter.filter.state_layout import Parameter, constant_parameters
+from navfilter.track.track import Track
+
+__all__ = ["Constant", "constant_doubts", "constants"]
+
+
+class Constant(NamedTuple):
+    """A constant state at the end of a run.
+
+    Attributes
+    ----------
+    owner : str
+        Sensor; empty for the drive.
+    name : str
+        Of the state.
+    unit : str
+    given, given_sd : float
+        As described: the value, mostly zero, and its standard deviation.
+    value, sd : float
+        As found.
+    """
+
+    owner: str
+    name: str
+    unit: str
+    given: float
+    given_sd: float
+    value: float
+    sd: float
+
+
+def constants(track: Track) -> tuple[Constant, ...]:
+    """The constants of a run, those that are unsure in its vehicle; of a smoothed track, those of all its time.
+
+    Parameters
+    ----------
+    track : Track
+    """
+    vehicle = track.vehicle
+    drive = vehicle.drive
+    constant = constant_parameters(drive.all_parameters(), drive.wandering())
+    given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in constant]
+    for name, sensor in vehicle.sensors.items():
+        constant = constant_parameters(sensor.all_parameters(), sensor.wandering())
+        given += [(name, f"{name}.{p.name}", p) for p in constant]
+    at = {name: i for i, name in enumerate(track.state_names)}
+    return tuple(
+        Constant(owner, name, p.unit, p.mean, p.sd, *(float(x[-1, at[name]]) for x in (track.states, track.states_sd)))
+        for owner, name, p in given
+        if p.sd and name in at and math.isfinite(track.states_sd[-1, at[name]])
+    )
+
+
+def constant_doubts(run: Track, far: float, untold: float) -> Iterator[Finding]:
+    """Constants that are not what the description says, and those that the mission does not tell.
+
+    Parameters
+    ----------
+    run : Track
+    far : float
+        Farther from the description than so many of its standard deviations is too far.
+    untold : float
+        A mission that leaves more of that standard deviation than this share has not told the constant.
+    """
+    found = constants(run)
+    # of twenty, chance takes one so far in one mission of four: what it does with so many is a remark
+    by_chance = float(-ndtri(ndtr(-far) / max(len(found), 1)))
+    for one in found:
+        if abs(one.value - one.given) > far * one.given_sd:
+            off = f"{amount(one.value, one.unit)} (sd {amount(one.sd, one.unit)})"
+            far_off = f"{abs(one.value - one.given) / one.given_sd:.1f} sd from what vehicle.toml says"
+            name = one.name.removeprefix(f"{one.owner}.")
+            grade: Severity = "warning" if abs(one.value - one.given) > by_chance * one.given_sd else "info"
+            yield Finding(grade, one.owner, f"{name} is {off}, {far_off}.", _cure(one, run.vehicle))
+    names = [f"{one.name} (sd {amount(one.sd, one.unit)})" for one in found if one.sd > untold * one.given_sd]
+    if names:
+        text = f"this mission hardly tells {', '.join(names)}: known no better than vehicle.toml says."
+        yield Finding("info", "", text, "")
+
+
+def _cure(one: Constant, vehicle: Any) -> str:
+    """The key that says better what the constant is."""
+    owner, _, what = one.name.rpartition(".")
+    part = "drive" if not one.owner else "sensors"
+    table = f"[{part}.{owner}]" if owner else f"[{part}]"
+    sensor: Any = vehicle.sensors.get(owner) or {
+        "velocity": vehicle.drive.velocity_sensor,
+        "attitude": vehicle.drive.compass,
+    }.get(owner)
+    if sensor is not None and what == "time_offset":
+        return (
+            f"Set time_offset_s = {sensor.time_offset_s + one.value:.3g} in {table} of vehicle.toml, or widen its sd."
+        )
+    if sensor is not None and what.startswith("lever_arm_"):
+        axis = "xyz".index(what[-1])
+        metres = sensor.lever_arm_b_m[axis] + one.value
+        return f"Set the {what[-1]} of lever_arm_b_m to {metres:.3g} m in {table} of vehicle.toml, or widen its sd."
+    if sensor is None:
+        table, what = "[drive]", one.name
+    return f"In {table} of vehicle.toml, widen the sd of {what}; or correct the description by what was found."

@@ -1,0 +1,63 @@
+"""By how much two readings of a sensor may differ although nothing is wrong: its coloured error, and dead reckoning."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import open_loop_residual
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+    from navfilter.models.sensors import Sensor
+
+__all__ = ["are_carried", "reckoned", "wander"]
+
+Array = NDArray[np.float64]
+#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
+#: as the square of the time, and the gauge is right.
+CARRIED_S = 5.0
+GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
+
+
+def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
+    """Variance by which the sensor's coloured error may have changed in a time, per axis."""
+    e = channel.group.errors
+    C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
+    if not with_offset:
+        C = C.copy()
+        C[:, channel.offsets] = 0.0
+    tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
+    ticks = min(dt / channel.period_s, 1e9)
+    return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
+
+
+def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which dead reckoning may err in a time, in the units of a sensor; `kernels.scatter` has it, too."""
+    if sensor.north is not None:
+        return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
+    if sensor.open_loop == open_loop_residual.VELOCITY:
+        tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
+        return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + _walked(dt, drive_output, period_s)
+    return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
+
+
+def _walked(dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which the noise of accelerometers does [m^2/s^2]."""
+    return float(drive_output[3:, -1].max() * period_s * dt)
+
+
+def _lasting(P: Array, drive_output: Array) -> Array:
+    """Variances of the errors of a drive's axes that last."""
+    C = drive_output[:, :-1]
+    m = 9 + C.shape[1]
+    return np.asarray(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C))
+
+
+def are_carried(filter: Filter, time_s: float) -> bool:
+    """Whether a velocity carries height and position at this time [s]."""
+    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.aside)
+    return not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S

@@ -1,0 +1,181 @@
+"""The way that refused readings of a velocity make beside the state's.
+
+While a velocity over ground is refused, either it or the state is wrong; which of them, often shows late. If it was the
+state, the position has left the truth by what the residuals come to, integrated over that time: that is the dead
+reckoning of the refused sensor, kept beside the filter's own. It belongs into the protection radius until a fix tells
+(solution separation: Blanch et al., 2015; Groves, 2013, ch. 17), and where the state is given up for the velocity, the
+position follows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults import ground_velocity
+from navfilter.kernels import open_loop_residual
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+
+__all__ = [
+    "SPEAKS_S",
+    "RefusedWay",
+    "believable",
+    "followed",
+    "full_residual",
+    "most_speed",
+    "out_of_reach",
+    "since_fix",
+    "with_refused",
+]
+
+Array = NDArray[np.float64]
+#: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
+MOST_SPEED, FASTER = 3.0, 2.0
+#: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
+#: state is no longer a metre north of them.
+REACH_M = 1e5
+#: A reading speaks for so long at most [s]: after a longer silence nobody knows what the sensor would have said.
+SPEAKS_S = 1.0
+#: The way of the refused readings is known to this share of itself beside the heading's error [1]: what lies between
+#: them, and the reading or two before the gate closed.
+SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class RefusedWay:
+    """What the refused readings of a velocity come to.
+
+    Attributes
+    ----------
+    time_s : float
+        Of the last one [s].
+    north, east : float
+        How much further the vehicle is than the state, if they were right [m].
+    length : float
+        The residuals' sizes, integrated since the last fix: whatever has been decided since [m].
+    """
+
+    time_s: float = -math.inf
+    north: float = 0.0
+    east: float = 0.0
+    length: float = 0.0
+
+
+def most_speed(speed: Array | float, stated: float | None) -> Array | float:
+    """What a vehicle can do at most [m/s], as stated, or as far as its present speed says."""
+    return stated or np.maximum(MOST_SPEED, np.multiply(FASTER, speed))
+
+
+def out_of_reach(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a refused fix is of a place to which no such vehicle has come since its start, although fixes have been
+    used: another coordinate system, a sign, another unit. However long it lasts, it is not let in.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    fixes = channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == ground_velocity.AXES
+    if not fixes or channel.memory.used_s == -math.inf:
+        return False
+    north, east = filter.start.way_to(*filter.memory.nav[:2].tolist())
+    off = [0.0 if math.isnan(residual) else residual for residual in channel.res[:2].tolist()]
+    most = float(most_speed(channel.memory.refused_speed, filter.vehicle.drive.max_speed_m_s))
+    return math.hypot(north + off[0], east + off[1]) > REACH_M + most * (time_s - filter.start.time_s)
+
+
+def believable(residual: Array, speed: Array | float, stated: float | None) -> NDArray[np.bool_]:
+    """Whether refused readings can be of a vehicle.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (..., axes)
+        NaN where unknown [m/s].
+    speed : float or ndarray, shape (...)
+        Of the state [m/s].
+    stated : float or None
+        The vehicle's greatest [m/s].
+
+    Examples
+    --------
+    >>> believable(np.array([[0.4, 0.0, 0.0], [1500.0, 0.0, 0.0]]), 1.5, None)
+    array([ True, False])
+    """
+    size = np.hypot.reduce(np.nan_to_num(residual), axis=-1)  # does not overflow
+    return np.asarray(size <= most_speed(speed, stated) + speed)
+
+
+def since_fix(filter: Filter, channel: Channel) -> RefusedWay:
+    """That of a velocity, now: nothing, once a fix has been used since."""
+    way = channel.memory.way
+    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.corrects == "position")
+    return RefusedWay() if way is None or max(fixes, default=-math.inf) > way.time_s else way
+
+
+def full_residual(filter: Filter, channel: Channel) -> Array:
+    """Of the last reading, shape (axes,), as if its sensor had not been found to have jumped [m/s]."""
+    return np.asarray(channel.note[3 : 3 + channel.axes] + channel.jumped_by(filter.memory.x))
+
+
+def with_refused(filter: Filter, channel: Channel, time_s: float) -> RefusedWay:
+    """That of a velocity with another refused reading.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    way, speed = since_fix(filter, channel), math.hypot(*filter.memory.nav[3:6].tolist())
+    residual = ground_velocity.components(channel, full_residual(filter, channel))
+    # one that is refused alone is an outlier
+    dt = min(time_s - max(way.time_s, channel.memory.rejected_since_s), SPEAKS_S)
+    if dt > 0.0 and believable(residual, speed, filter.vehicle.drive.max_speed_m_s):
+        seen = np.isfinite(residual)
+        A = ground_velocity.as_velocity(channel, seen)
+        further = A @ residual[seen] * dt
+        size = 0.0
+        if not channel.aside:
+            # once it has been found to be off, nobody need reckon with its being right, but as far as it still differs
+            left = (
+                ground_velocity.components(channel, channel.note[3 : 3 + channel.axes]) if channel.offset else residual
+            )
+            size = float(np.linalg.norm(left[seen] if len(left) == ground_velocity.AXES else A @ left[seen]))
+        return RefusedWay(time_s, way.north + float(further[0]), way.east + float(further[1]), way.length + dt * size)
+    return replace(way, time_s=time_s)
+
+
+def followed(filter: Filter, channel: Channel) -> Array:
+    """The state was wrong: let the position follow a velocity that has been refused.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its nominal position changes.
+    channel : Channel
+        Of that velocity; its memory takes note.
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+        Variance to add to that of the position [m^2].
+    """
+    nav, way = filter.memory.nav, since_fix(filter, channel)
+    nav[0] += way.north / nav[15]
+    nav[1] += way.east / (nav[16] * math.cos(nav[0]))
+    turned = np.array([-way.east, way.north]) * math.sqrt(min(filter.memory.P[8, 8], 1.0))
+    if channel.memory.way is not None:
+        channel.memory.way = replace(way, north=0.0, east=0.0)
+    return SHARE**2 * (way.north**2 + way.east**2) * np.eye(2) + np.outer(turned, turned)

@@ -1,0 +1,1 @@
+"""Faults of clocks and time stamps."""

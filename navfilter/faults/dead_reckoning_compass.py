@@ -1,0 +1,198 @@
+"""Fixes against dead reckoning without an inertial unit: what drives has a compass, and no other sensor holds it.
+
+A compass that is turned by 180 degrees takes such a vehicle the other way, and fixes that are refused, believed and
+refused again are all that says so. Their way is held against the one that the drive's own readings have made, whatever
+the fixes have corrected meanwhile: where the one is the other, turned (`navfilter.faults.heading_fault`), the compass
+gets a constant of that angle, and the position is opened to the next fix.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults.heading_fault import Course, direction, of_one_way, rather_drawn, seen_turned
+from navfilter.filter.model_change import Change
+from navfilter.kernels import strapdown
+from navfilter.models.fault_bias import has_offset, offset_states, with_offsets
+from navfilter.models.sensors.velocity import FLOWS_M_S
+
+if TYPE_CHECKING:
+    from navfilter.filter.events import Listening
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.filter.sensor_channel import Channel
+    from navfilter.models.error_models import ErrorModel
+
+__all__ = ["Reckoned", "contradicted", "opened_velocity", "take_up"]
+
+Array = NDArray[np.float64]
+#: Refused fixes that come so long after each other are not of one way [s].
+APART_S = 60.0
+#: A velocity sensor has been used so lately at most [s].
+RECENT_S = 5.0
+#: A speed below this tells no share of it [m/s].
+SLOW = 0.1
+#: Of the drive's three angles.
+YAW = 2
+
+
+@dataclass(frozen=True)
+class Reckoned:
+    """Refused fixes, and the way that the drive has made between them.
+
+    Attributes
+    ----------
+    course : Course
+    latitude, longitude : float
+        Of the first fix [rad].
+    north, east : float
+        Way made until then [m].
+    last_s : float
+        Time of the last one [s].
+    """
+
+    course: Course
+    latitude: float
+    longitude: float
+    north: float
+    east: float
+    last_s: float
+
+
+def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None:
+    """What is to be done about the drive's compass when fixes have refused a reading: another error model of it, with
+    a turn; None while nothing is to be done.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory of these fixes goes on.
+    fixes : Channel
+        As the refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    memory, kept = filter.memory, fixes.memory
+    if filter.inertial or not np.isfinite(fixes.res[:2]).all():
+        return None
+    nav, since_s = memory.nav, memory.time_s - memory.sample_s
+    way = memory.drv[strapdown.WAY : strapdown.WAY + 2] + since_s * nav[3:5]
+    latitude = float(nav[0] + fixes.res[0] / nav[15])
+    longitude = float(nav[1] + fixes.res[1] / (nav[16] * math.cos(nav[0])))
+    before = kept.reckoned
+    if before is None or time_s - before.last_s > APART_S:
+        before = _from_here(latitude, longitude, way, time_s)
+    made = way - (before.north, before.east)
+    fixed = np.array([(latitude - before.latitude) * nav[15], 0.0])
+    fixed[1] = (longitude - before.longitude) * nav[16] * math.cos(before.latitude)
+    course = before.course.plus(time_s, made, fixed - made)
+    kept.reckoned = Reckoned(course, *_begin(before), time_s)
+    # what draws a way through water off is its current, as far as water flows
+    water = bool(filter.in_force.drive.wandering()) and course.drawn_m_s() < FLOWS_M_S
+    drawn = (lambda angle, speed: True) if water else rather_drawn
+    wanders, constant = float(memory.drv[strapdown.SPREAD + YAW]) ** 2, float(memory.P[8, 8])
+    flows, across = _flows(memory), max(0.0, direction(filter) - constant)
+    share = _faster(memory) + wanders + flows
+    turn = seen_turned(course, fixes, wanders, drawn, share, constant + across)
+    if turn is None:
+        if not of_one_way(course, fixes, drawn, share):
+            kept.reckoned = _from_here(latitude, longitude, way, time_s)
+        return None
+    turn, kept.reckoned = (turn[0], turn[1] + flows + across), None
+    memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
+    memory.counts["reset"] += 1
+    memory.counts["jumped"] += 1
+    return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
+
+
+def _from_here(latitude: float, longitude: float, way: Array, time_s: float) -> Reckoned:
+    """Nothing but a first fix, at this place [rad] and after this way [m]."""
+    return Reckoned(Course(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s)
+
+
+def _flows(memory: FilterMemory) -> float:
+    """Square of the current, as a share of that of the speed: beside a wrong heading it has been estimated wrongly."""
+    place, v = int(memory.drv[strapdown.CURRENT]), memory.nav[3:5]
+    current = memory.x[place : place + 2] if place >= 0 else np.zeros(2)
+    return float(current @ current) / max(float(v @ v), SLOW**2)
+
+
+def _faster(memory: FilterMemory) -> float:
+    """Variance of the speed, as a share of its square."""
+    v = memory.nav[3:5]
+    return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), SLOW**2) ** 2
+
+
+def _begin(before: Reckoned) -> tuple[float, float, float, float]:
+    return before.latitude, before.longitude, before.north, before.east
+
+
+def _attitude(filter: Filter) -> tuple[ErrorModel, ...]:
+    return filter.in_force.drive.models[:3]
+
+
+def _with_constant(filter: Filter, sd: float) -> ErrorModel | tuple[ErrorModel, ...]:
+    """Error models of the attitude, the heading's with a constant of this sd beside it, unless it has one."""
+    drive = filter.in_force.drive
+    if drive.compass is not None:
+        yaw = drive.compass.models
+        return (yaw if has_offset(yaw) else with_offsets(yaw, sd))[0]
+    models = _attitude(filter)
+    return models if has_offset(models[YAW]) else (*models[:YAW], with_offsets(models[YAW:], sd)[0])
+
+
+def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
+    """Another error model of the velocity that dead reckoning goes by, with a constant of this sd beside it [m/s]; None
+    where there is none to be opened, or it has one.
+
+    Parameters
+    ----------
+    filter : Filter
+    size, speed : float
+        0: nothing is to be opened [m/s]; speed of the vehicle [m/s].
+    """
+    if not size:
+        return None
+    if not filter.inertial:
+        models = filter.in_force.drive.models[3:]
+        return None if has_offset(models) else Change("velocity", with_offsets(models, size), offsets=True)
+    now_s = filter.memory.time_s
+    for channel in filter.channels.values():
+        used = now_s - channel.memory.used_s < RECENT_S and channel.sensor.corrects == "velocity"
+        if used and channel.sensor.ground and not channel.sensor.flows_m_s and not channel.offset:
+            return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
+    return None
+
+
+def take_up(filter: Filter, change: Change, tell: Listening) -> None:
+    """Put another error model of what drives in force. A turn: what its compass reads is turned by an angle of this
+    variance, beside its constant.
+
+    Parameters
+    ----------
+    filter : Filter
+        Nothing waits to be folded in.
+    change : Change
+        By `contradicted` or `opened_velocity`.
+    tell : callable
+        Is told of the new states.
+    """
+    if change.turn is None:
+        filter.adopt(change, tell)
+        return
+    angle, variance = change.turn
+    had = has_offset(_attitude(filter)[YAW])
+    if not had:
+        filter.adopt(change, tell)
+    memory, models, size = filter.memory, _attitude(filter), filter.layout.size
+    first = sum(model.block(filter.period_s).size for model in models[:YAW])
+    place = first + int(offset_states(models[YAW:], filter.period_s)[0])
+    memory.x[place] -= angle
+    N = np.zeros((size, size))
+    N[9 + place, 9 + place] = variance if had else 0.0
+    filter.put(memory.nav[3:6].copy(), memory.nav[6:15].reshape(3, 3).copy(), np.eye(size), N, tell)

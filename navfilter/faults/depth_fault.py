@@ -1,0 +1,126 @@
+"""A depth gauge that has left the state slowly: it has drifted, or what carries the height has.
+
+One that leaves from one reading to the next has jumped, for no vehicle can (`navfilter.faults.sensor_bias`). A
+difference that grows has no such owner: a gauge drifts, and a velocity whose mounting is off by a degree leads the
+height off by as much in the same time. While a velocity goes on to say how the height changes, nobody can tell the two
+apart. To set the state to the gauge, with the sd that one more of its readings leaves, is to claim that it was the
+velocity. So both are opened, by all that lies between them: the height, and a constant of the gauge. What follows tells
+them apart, fixes with a height above all; until then the sd is what is known, and the estimate lies between the two,
+which is never wrong by more than either of them could be.
+
+Nor has one that leaves at once always jumped: from a drift that velocity and height have followed a gauge comes back
+so. Fixes tell the two apart, where they are precise enough at once, else while both are open.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navfilter.faults.allowed_change import are_carried
+from navfilter.faults.protection_level import CONFIRMED_S
+from navfilter.faults.sensor_bias import SPAN_S, offset_places
+from navfilter.filter.model_change import Change
+from navfilter.kernels import open_loop_residual
+from navfilter.models.fault_bias import offset_states, with_offsets
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+
+__all__ = ["are_told", "open_both", "undecided"]
+
+#: Of the height among the navigation states.
+DOWN = 2
+#: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives.
+CARRIED_M_S = 0.1
+#: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
+#: readings happened to look alike.
+GROWN = 2.0
+
+
+def are_told(filter: Filter, gauge: Channel, time_s: float) -> bool:
+    """Whether more than accelerometers says how the height changes at this time [s]: a velocity, or fixes or another
+    gauge that go on to be used.
+    """
+    return are_carried(filter, time_s) or bool(_others(filter, gauge, time_s))
+
+
+def _others(filter: Filter, gauge: Channel, time_s: float) -> list[Channel]:
+    """Fixes and other gauges that go on to tell the height; it is the last component of each."""
+    return [
+        other
+        for other in filter.channels.values()
+        if other is not gauge
+        and other.sensor.open_loop == open_loop_residual.POSITION
+        and np.isfinite(other.note[2 + other.axes])
+        and time_s - other.memory.used_s < SPAN_S
+    ]
+
+
+def may_be_right(filter: Filter, gauge: Channel, time_s: float) -> bool:
+    """Whether a gauge that has left the state at once may have come back to the truth, from where it had led the state
+    astray: all that tell the height beside it fit where it is now, too.
+    """
+    others = _others(filter, gauge, time_s)
+    wrong = float(gauge.res[0] / gauge.near[0, DOWN])
+    squares = [
+        (other.note[2 + other.axes] - other.near[-1, DOWN] * wrong) ** 2 / other.note[2 + 2 * other.axes]
+        for other in others
+    ]
+    known = filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2
+    return bool(others) and known and max(squares) <= float(gauge.limits[1])
+
+
+def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a sensor that is refused is a depth gauge that was right for long, and something else tells the height.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    if channel.sensor.open_loop != open_loop_residual.POSITION or channel.axes != 1:
+        return False
+    if not filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2:
+        return False
+    if channel.memory.either:
+        return True
+    states = offset_states(channel.sensor.models, channel.period_s)
+    if len(states):
+        whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
+        if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
+            return False
+    return channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S and are_told(filter, channel, time_s)
+
+
+def open_both(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Open the height, and give the gauge a constant, or open the one that it has, by all that lies between them.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its covariance changes; an error model is adopted before the next input.
+    channel : Channel
+        Of the gauge, as its refused reading left it; its memory takes note.
+    time_s : float
+        Of the reading [s].
+    """
+    memory, kept = filter.memory, channel.memory
+    P, places = memory.P, offset_places(channel)
+    new = float(channel.res[0])
+    whole = new + float(channel.jumped_by(memory.x)[0])
+    # at least by what has come since they were opened last; beyond that only as far as they are not open any more
+    P[DOWN, DOWN] += max(new**2, whole**2 - P[DOWN, DOWN])
+    if len(places):
+        P[places, places] += np.maximum(new**2, whole**2 - P[places, places])
+    else:
+        models = with_offsets(channel.sensor.models, abs(new), only=channel.sensor.jumps)
+        filter.jumped.append(Change(channel.name, models, offsets=True))
+    kept.either, kept.refused = True, None
+    kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
+    memory.counts["jumped"] += 1

@@ -1,0 +1,378 @@
+"""Fixes and a velocity sensor together against one compass.
+
+Fixes that are refused on end have made a way, and so has dead reckoning between them. Where the one is the other,
+turned by an angle, the heading was wrong by that angle: no receiver errs so, and a velocity sensor has no say in the
+direction of north. Where it is the other with a constant velocity added, the fixes are being drawn off, or there is a
+current that nobody measures. On a straight way the two look the same. Then it is a matter of who else has confirmed
+the heading: a compass that is the only one to have said it is outvoted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.model_change import Change
+from navfilter.filter.python_update import update
+from navfilter.kernels import kalman, measurement, open_loop_residual
+from navfilter.models.fault_bias import offset_states, with_offsets
+from navfilter.models.state import rotation_matrix
+
+if TYPE_CHECKING:
+    from navfilter.filter.events import Listening
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+
+__all__ = [
+    "Course",
+    "against_the_compass",
+    "direction",
+    "led_astray",
+    "of_one_way",
+    "rather_drawn",
+    "seen_turned",
+    "told_by_fixes",
+    "told_here",
+    "turned",
+    "turned_by_fixes",
+    "used",
+]
+
+Array = NDArray[np.float64]
+#: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
+#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
+#: the speed, is then less than a velocity sensor errs by).
+SURE, KNOWN_RAD = 5.0, 0.07
+#: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
+SCALE = 0.05
+#: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the first
+#: they have made it, beyond the second not.
+FITS, MISSES = 2.0, 4.0
+#: A velocity sensor has been used so lately at most [s].
+RECENT_S = 5.0
+#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
+#: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
+DRAWN_RAD = math.radians(15.0)
+#: What it leaves of the speed, in standard deviations [1].
+SAME_SPEED = 2.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """Refused fixes and the places reckoned meanwhile.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        Of the first place reckoned [rad].
+    began_s : float
+        Time of the first fix [s].
+    count : int
+        Fixes.
+    sums : tuple of float
+        Of place reckoned (north, east), residual of the fix (north, east) and time since the first, then of all
+        products of two of them [m, s].
+    """
+
+    latitude: float
+    longitude: float
+    began_s: float
+    count: int = 0
+    sums: tuple[float, ...] = (0.0,) * 30
+
+    def and_then(self, time_s: float, nav: Array, residual: Array) -> Course:
+        """With one more fix: its time, nominal state (17,), residual in n [m]."""
+        north = (nav[0] - self.latitude) * nav[15]
+        east = (nav[1] - self.longitude) * nav[16] * math.cos(self.latitude)
+        return self.plus(time_s, (north, east), residual)
+
+    def plus(self, time_s: float, place: Array | tuple[float, float], residual: Array) -> Course:
+        """With one more fix: its time, the place reckoned, north and east of the first [m], residual in n [m]."""
+        row = [*map(float, (*place, *residual[:2], time_s - self.began_s))]
+        new = zip(self.sums, (*row, *(one * other for one in row for other in row)), strict=True)
+        sums = tuple(before + added for before, added in new)
+        return Course(self.latitude, self.longitude, self.began_s, self.count + 1, sums)
+
+    def drawn_m_s(self) -> float:
+        """Speed at which the fixes go away from the way reckoned, by the straight line through that [m/s]."""
+        sums = np.array(self.sums) / self.count
+        S = sums[5:].reshape(5, 5) - np.outer(sums[:5], sums[:5])
+        return math.hypot(S[4, 2], S[4, 3]) / max(float(S[4, 4]), 1e-300)
+
+    def fitted(self) -> tuple[float, float, float, float, float]:
+        """Angle by which the way of the fixes is turned against the one reckoned [rad], mean square of the latter about
+        its middle [m^2], ratio of their sizes, mean square distances of the fixes from the way turned by that angle,
+        and from the way that is drawn off by a constant velocity [m^2].
+        """
+        sums = np.array(self.sums) / self.count
+        S = sums[5:].reshape(5, 5) - np.outer(sums[:5], sums[:5])
+        size, along, across, off = S[0, 0] + S[1, 1], S[0, 2] + S[1, 3], S[0, 3] - S[1, 2], S[2, 2] + S[3, 3]
+        fixes = size + 2.0 * along + off
+        common = math.hypot(size + along, across)
+        drawn = off - (S[4, 2] ** 2 + S[4, 3] ** 2) / max(S[4, 4], 1e-300)
+        ratio = math.sqrt(max(fixes, 0.0) / max(size, 1e-300))
+        return math.atan2(across, size + along), size, ratio, fixes + size - 2.0 * common, drawn
+
+
+def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: float) -> Change | None:
+    """What is to be done about the compass, where refused fixes and a velocity sensor contradict it; else None.
+
+    Parameters
+    ----------
+    filter : Filter
+        Is only read.
+    fixes : Channel
+        The channel that refuses them.
+    course : Course
+    time_s : float
+        Now [s].
+    """
+    channels = filter.channels.values()
+    recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
+    compasses = [c for c in recent if c.sensor.corrects == "heading"]
+    moving = any(_reckons(c) for c in recent)
+    if course.count < 3 or not moving or len(compasses) > 1:
+        return None
+    if not compasses:  # the gyros alone have led the heading: what it may be off by is part of the angle
+        heading, going = float(filter.memory.P[8, 8]), direction(filter)
+        turn = seen_turned(course, fixes, max(0.0, going - heading), rather_drawn, heading=heading)
+        return turn and Change(fixes.name, fixes.sensor.models, afresh=True, turn=turn)
+    compass = compasses[0]
+    if compass.sensor.north is None:
+        return None
+    told = math.radians(filter.start.heading_sd_deg)
+    believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
+    turn = seen_turned(course, fixes, direction(filter), believed)
+    if turn is None:
+        return None
+    models = compass.sensor.models
+    if not compass.offset:
+        models = with_offsets(models, abs(turn[0]), only=compass.sensor.north, deviates=True)
+    return Change(compass.name, models, offsets=True, turn=turn)
+
+
+def seen_turned(
+    course: Course,
+    fixes: Channel,
+    direction: float,
+    believed: Callable[[float, float], bool],
+    share: float = 0.0,
+    heading: float = 0.0,
+) -> tuple[float, float] | None:
+    """By what angle fixes have made the way reckoned, turned, and its variance [rad, rad^2]; None where they have not,
+    or as well may be drawn off by a constant velocity.
+
+    Parameters
+    ----------
+    course : Course
+    fixes : Channel
+        The channel that refuses them.
+    direction : float
+        Variance of the direction of the way reckoned, which is left beside the angle [rad^2].
+    believed : callable
+        Whether a heading that is off by this angle [rad], and a speed by so many standard deviations, are believed
+        rather than fixes that are drawn off.
+    share : float
+        Variance of what the way reckoned errs by beside a turn of the whole, as a share of its square [1].
+    heading : float
+        Variance of a constant of the compass, which is part of the angle [rad^2].
+    """
+    if course.count < 3:
+        return None
+    angle, size, ratio, beside_turned, beside_drawn = course.fitted()
+    noise = _noise(fixes)
+    # what wanders over the time of the fixes tilts a straight way by its difference between the ends: sqrt(2) of its sd
+    # over sqrt(12) of the root mean square distance from the middle
+    variance = noise / (6.0 * max(size, 1e-300))
+    sd, faster = math.sqrt(variance + direction), math.sqrt(variance + share)
+    chance = math.sqrt(variance + direction + heading)
+    if sd > KNOWN_RAD or abs(angle) < SURE * chance or abs(ratio - 1.0) > SURE * faster + SCALE:
+        return None
+    speed, noise = max(0.0, abs(ratio - 1.0) - SCALE) / faster, noise + share * size
+    if beside_turned > FITS**2 * noise or (believed(angle, speed) and beside_drawn < MISSES**2 * noise):
+        return None
+    return angle, variance + direction
+
+
+def rather_drawn(angle: float, speed: float) -> bool:
+    """Whether fixes are rather drawn off than a heading is turned by an angle, and a speed off by so many sd."""
+    return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
+
+
+def of_one_way(course: Course, fixes: Channel, believed: Callable[[float, float], bool], share: float) -> bool:
+    """Whether fixes may have made the way reckoned, turned by one angle, or drawn off at one velocity where that is
+    rather believed: else what is wrong has become another meanwhile, as that of a compass which follows no turn does.
+    `believed` and `share` as in `seen_turned`.
+    """
+    if course.count < 3:
+        return True
+    angle, size, _, turned, drawn = course.fitted()
+    noise = _noise(fixes) + share * size
+    return turned < FITS**2 * noise or (believed(angle, 0.0) and drawn < MISSES**2 * noise)
+
+
+def _reckons(channel: Channel) -> bool:
+    """Whether a sensor tells the way made, if the heading is known."""
+    sensor = channel.sensor
+    return sensor.corrects == "velocity" and (sensor.ground > 0 or sensor.open_loop == open_loop_residual.VELOCITY)
+
+
+def direction(filter: Filter) -> float:
+    """Variance of the direction that the vehicle is believed to go in [rad^2]: that of its heading, and of the velocity
+    across its way where the heading is right, as in a current that is hardly known.
+    """
+    P, nav = filter.memory.P, filter.memory.nav
+    speed = max(math.hypot(nav[3], nav[4]), 1e-3)
+    across = np.zeros(9)
+    across[[3, 4]] = -nav[4] / speed, nav[3] / speed
+    seen = P[:9, :9] @ across
+    beside = max(0.0, float(across @ seen) - float(seen[8]) ** 2 / float(P[8, 8]))
+    return float(P[8, 8]) + beside / speed**2
+
+
+def _noise(fixes: Channel) -> float:
+    """Variance of a fix in one direction [m^2]."""
+    return float(np.max(np.diag(fixes.white)[:2] + np.array(fixes.slow)[:2]))
+
+
+def told_here(fixes: Channel, nav: Array, variance: float) -> tuple[float, ...]:
+    """What is to be remembered of a heading that fixes have told to this variance [rad^2], see `ChannelMemory.course`.
+    The last of them has just been refused at the nominal state nav (17,).
+    """
+    north, east = np.nan_to_num(fixes.res[:2]).tolist()
+    latitude, longitude = nav[:2].tolist()
+    place = latitude + north / float(nav[15]), longitude + east / (float(nav[16]) * math.cos(latitude))
+    return (variance, _noise(fixes), *place)
+
+
+def used(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Note that a reading of this time has been used."""
+    channel.use(time_s)
+    if channel.memory.alone and _confirmed(filter, channel):
+        channel.memory.alone = ()
+
+
+def _confirmed(filter: Filter, compass: Channel) -> bool:
+    """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
+    used, twice as far from there as they need to contradict it. Without a velocity over ground in b they say nothing of
+    the heading.
+    """
+    now_s, far_m = filter.memory.time_s, led_astray(compass, filter.memory.nav)
+    recent = [c for c in filter.channels.values() if now_s - c.memory.used_s < RECENT_S]
+    if filter.inertial and not any(_reckons(c) for c in recent):
+        return False
+    for fixes in filter.channels.values():
+        kept = fixes.memory
+        calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
+        if fixes.sensor.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
+            sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
+            if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
+                return True
+    return False
+
+
+def led_astray(compass: Channel, nav: Array) -> float:
+    """How far a compass to which the heading was set against what was believed before, and that nothing has confirmed
+    since, may have led the vehicle from its way [m].
+
+    Parameters
+    ----------
+    compass : Channel
+    nav : ndarray, shape (17,)
+        Nominal state.
+    """
+    if not compass.memory.alone:
+        return 0.0
+    angle, latitude, longitude = compass.memory.alone
+    north = (nav[0] - latitude) * nav[15]
+    east = (nav[1] - longitude) * nav[16] * math.cos(latitude)
+    return math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
+
+
+def told_by_fixes(compass: Channel, nav: Array, latitude: float, longitude: float) -> float:
+    """Variance to which fixes alone can tell the heading since they have contradicted a compass [rad^2]; 0 where they
+    have not.
+
+    What wanders between two fixes turns the way from one to the other by the square root of two of its sd over their
+    distance. A velocity in b beside a heading that is known to some degrees only seems to tell more than that: it is
+    linearised at headings that differ (Huang et al., Int. J. Robotics Res. 29, 2010, of the same in mapping).
+
+    Parameters
+    ----------
+    compass : Channel
+    nav : ndarray, shape (17,)
+        Nominal state.
+    latitude, longitude : float
+        Where a fix was used last [rad].
+    """
+    if len(compass.memory.course) != 4 or not compass.offset:
+        return 0.0
+    variance, noise, *there = compass.memory.course
+    north, east = (latitude - there[0]) * float(nav[15]), (longitude - there[1]) * float(nav[16]) * math.cos(latitude)
+    return 1.0 / (1.0 / variance + (north**2 + east**2) / (2.0 * noise))
+
+
+def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> None:
+    """Turn the heading by an angle of this variance, as by a reading of the compass.
+
+    Attitude and velocity are turned with all that is known of them; then both are opened by the angle together, and
+    take the reading. A constant of the compass, if it has one, takes the rest.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory is changed; nothing waits to be folded in.
+    compass : Channel
+    angle, variance : float
+        [rad], [rad^2]
+    """
+    memory, kept, tape = filter.memory, compass.memory, filter.tape
+    P, nav, x, a, north = memory.P, memory.nav, memory.x, compass.axes, compass.sensor.north
+    R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
+    nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
+    for at in (3, 6):
+        M[at : at + 2, at : at + 2] = R
+    P[:] = M @ P @ M.T
+    if tape is not None:
+        tape.change(M)
+    places = compass.group.start + offset_states(compass.sensor.models, compass.period_s, north)
+    P[places, places] = np.maximum(np.diag(P)[places], angle**2)
+    # a velocity that is known in b goes with the heading
+    along = np.zeros(len(P))
+    along[[3, 4, 8]] = -nav[4], nav[3], 1.0
+    P += angle**2 * np.outer(along, along)
+    P[:] = 0.5 * (P + P.T)
+    compass.transition[:] = memory.acc[: len(compass.transition)]
+    kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
+    reading = np.full(a + 1, math.nan)  # only its slopes are asked for
+    if compass.kernel is measurement.magnetometer:  # they are those of the field that it feels: level, of unknown dip
+        field = math.cos(compass.constants[0]), math.sin(compass.constants[0]), 0.0
+        reading = np.append(nav[6:15].reshape(3, 3).T @ field, math.nan)
+    compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
+    compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
+    nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
+    update(memory, compass, nothing, variance * np.eye(a), open_gate, filter.drive_output)
+    memory.unfolded = 0
+    kept.agreed_s, kept.refused, kept.rejected_since_s = math.nan, None, math.nan
+    if compass.offset:
+        kept.alone = ()  # it no longer says which way north is
+    if tape is not None:
+        tape.record(compass.record, a, compass.dims)
+        tape.row(memory.time_s, nav, x, P)
+
+
+def turned_by_fixes(filter: Filter, angle: float, variance: float, tell: Listening) -> None:
+    """Turn the heading, and the velocity with it, by an angle of this variance that fixes alone have told, where no
+    compass does; `tell` is told of the new states.
+    """
+    nav, n = filter.memory.nav, len(filter.memory.P)
+    R, M, along = rotation_matrix(np.array([0.0, 0.0, angle])), np.eye(n), np.zeros(n)
+    velocity = R @ nav[3:6]
+    M[3:6, 3:6] = M[6:9, 6:9] = R
+    along[[3, 4, 8]] = -velocity[1], velocity[0], 1.0
+    filter.put(velocity, R @ nav[6:15].reshape(3, 3), M, variance * np.outer(along, along), tell)

@@ -1,0 +1,236 @@
+"""Shifts of a gyro's bias that no gate sees.
+
+A gyro that is off by another 100 deg/h from now on turns the heading so slowly that each reading of the compass fits:
+its slow error takes the difference. But all of these small differences have one sign, and the estimate of the bias adds
+them up. By how much it may move is known: it is a martingale, and what it moves by in a time has the variance that the
+bias has lost in that time, and what its random walk adds. One that has moved by more has **shifted**: its error model
+allows no such change, and the filter, which was sure of it, follows much too slowly. So it is opened by the shift, and
+the heading, the way and the slow errors by what that has done to them meanwhile. All are found again within a minute.
+
+That variance is what the descriptions of the sensors make it. Where their NIS is above 1, it is as much larger. A
+compass next to iron that nobody has described errs by the heading, and a vehicle that circles, or turns now and then,
+makes a bias of that. So the axis about the vertical has only shifted if the compass runs away from the gyros along a
+ramp that no deviation, no slow error and no bias that was there before explains (`ramp_beyond_deviation`). Other axes
+have only shifted where no sensor was refused for long in the ten minutes before: one that is described wrongly tilts
+the vehicle, too.
+
+Accelerometers are not looked at: theirs shows in a velocity at once.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.channel_memory import UNDISPUTED_S
+from navfilter.filter.sensor_channel import Channel
+from navfilter.kernels import batch
+from navfilter.kernels import bias_drift as kernel
+from navfilter.kernels.bias_drift import (
+    ANEW,
+    APART,
+    BIAS,
+    COLUMNS,
+    HEADING,
+    LATITUDE,
+    LIMIT,
+    LONGITUDE,
+    NIS,
+    TIME_S,
+    VARIANCE,
+    farthest,
+)
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.filter.state_layout import Group
+
+__all__ = ["due_s", "fresh", "gyros", "look", "looking", "shifted"]
+
+Array = NDArray[np.float64]
+#: The estimates are looked at so often [s], and held against those of so many looks before [1].
+EVERY_S, LOOKS = batch.LOOK_EVERY_S, 16
+#: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1].
+FLOOR = 0.15
+#: The share of a shift that the estimate has followed, at least [1].
+LEAST = 0.05
+#: A bias is opened by so many times its shift as found [1]: it came some time after the look.
+OPENED = 2.0
+#: What tilts the vehicle contradicts the accelerometers within so long [s].
+TILT_S = 10.0
+#: A ramp that no deviation explains is beyond so many times its variance [1]: three standard deviations, where six have
+#: told a shift already.
+BEYOND = 9.0
+#: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
+#: difference between a compass and how far gyros have turned [rad].
+DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
+#: An axis is about the vertical if so much of it is [1].
+UPRIGHT = 0.5
+
+
+def fresh() -> Array:
+    """What is remembered before the first look, shape (LOOKS, COLUMNS), the latest last."""
+    return np.full((LOOKS, COLUMNS), math.nan)
+
+
+def due_s(filter: Filter) -> float:
+    """Time of the reading by which the next look comes [s]."""
+    if not filter.inertial:
+        return math.inf
+    last_s = filter.memory.shifts.item(-1, TIME_S)
+    return -math.inf if math.isnan(last_s) else (math.floor(last_s / EVERY_S) + 1.0) * EVERY_S
+
+
+def looking(filter: Filter) -> tuple[Array, Array, Array]:
+    """The looks so far, what is known of the gyros, and the next look, see `navfilter.kernels.bias_drift`."""
+    memory, now = filter.memory, np.zeros(COLUMNS)
+    now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
+    return memory.shifts, filter.gyros, now
+
+
+def gyros(drive: Group, period_s: float) -> Array:
+    """What is known of the gyros of an inertial unit, see `navfilter.kernels.bias_drift`."""
+    known = drive.gyro_biases.copy()
+    known[kernel.WALK] /= period_s
+    known[kernel.LEAST] *= FLOOR**2
+    return known
+
+
+def look(filter: Filter) -> None:
+    """Hold the biases against what they were, if it is time; after a reading has been taken."""
+    memory = filter.memory
+    heard = [[channel.memory.last_s] for channel in filter.channels.values()]
+    if not heard or max(heard)[0] == -math.inf or max(heard)[0] < due_s(filter):
+        return
+    looks, gyros, now = looking(filter)
+    state = memory.nav, memory.x, memory.P
+    if not batch.look_at_biases(
+        filter.bench, filter.plan, np.array(heard), *state, memory.watch, memory.time_s, looks, gyros, now
+    ):
+        return
+    g = filter.layout.drive
+    places, walk = gyros[kernel.PLACE].astype(int), gyros[kernel.WALK]
+    compass, kept = _compass(filter), looks
+    upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, now[TIME_S])
+    found = [
+        f
+        for f in shifted(kept, now, walk, g.P0[places - g.start, places - g.start])
+        if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)
+    ]
+    for axis, row, size in found:
+        _open(memory, int(places[axis]), axis, size, kept[row:])
+        memory.counts["shifted"] += 1
+    if found:
+        kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
+    memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
+
+
+def _undisputed(filter: Filter, time_s: float) -> bool:
+    """Whether no sensor has been refused for long of late: what is described wrongly tilts the vehicle, too."""
+    return all(time_s - c.memory.disputed_s > UNDISPUTED_S for c in filter.channels.values())
+
+
+def _compass(filter: Filter) -> Channel | None:
+    """One that has been heard just now."""
+    heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < batch.COMPASS_S]
+    return next((c for c in heard if c.sensor.north is not None), None)
+
+
+def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: float) -> bool:
+    """Whether a compass says so, too, if there is one."""
+    if compass is None:
+        return True
+    heard, e = np.flatnonzero(np.isfinite(looks[:, APART])), compass.group.errors
+    north = compass.sensor.north
+    tick, P0, C = compass.group.Phi[:e, :e], compass.group.P0[:e, :e], compass.C[north]
+    look = np.linalg.matrix_power(tick, round(EVERY_S / compass.period_s))
+    later = np.array([C @ np.linalg.matrix_power(look, k) @ P0 @ C for k in range(len(looks))])
+    noise = later[np.abs(np.subtract.outer(heard, heard))] + float(compass.white[north, north]) * np.eye(len(heard))
+    time_s, heading, apart = looks[heard][:, [TIME_S, HEADING, APART]].T
+    since_s, before = float(looks[row, TIME_S]), float(looks[row, VARIANCE + axis])
+    slope, variance = ramp_beyond_deviation(time_s, heading, apart, noise, since_s, before)
+    return slope * size < 0.0 and slope**2 > BEYOND * variance
+
+
+def ramp_beyond_deviation(
+    time_s: Array, heading: Array, apart: Array, noise: Array, since_s: float, bias: float
+) -> tuple[float, float]:
+    """By how much a compass runs away from gyros since a look [rad/s], and the variance of that, beside any deviation.
+
+    Parameters
+    ----------
+    time_s, heading, apart : ndarray, shape (k,)
+        Of the looks [s]; by the compass; that less how far the gyros have turned [rad].
+    noise : ndarray, shape (k, k)
+        Covariance of the compass.
+    since_s : float
+        Time of the look.
+    bias : float
+        Variance of what the gyros' bias was before.
+    """
+    apart, age = np.unwrap(apart), time_s - time_s[-1]
+    S = noise + UNKNOWN**2 + bias * np.outer(age, age)
+    for k, sd in enumerate(DEVIATION, 1):
+        S = S + sd**2 * np.cos(k * (heading[:, None] - heading))
+    ramp = np.maximum(time_s - since_s, 0.0)
+    weights = np.linalg.solve(S, np.column_stack([ramp, apart - apart[-1]]))
+    information = float(ramp @ weights[:, 0])
+    slope = float(ramp @ weights[:, 1]) / information
+    left = apart - apart[-1] - slope * ramp
+    larger = max(1.0, float(left @ np.linalg.solve(S, left)) / max(len(time_s) - 2, 1))
+    return slope, larger / information
+
+
+def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
+    """Biases that have moved by more than they may: axis, the look since which, and by how much to open them.
+
+    Parameters
+    ----------
+    looks : ndarray, shape (k, COLUMNS)
+        NaN where there is none.
+    now : ndarray, shape (COLUMNS,)
+    walk : ndarray, shape (3,)
+        What their random walks add to the variances in a second.
+    begin : ndarray, shape (3,)
+        Their variances at the start.
+    """
+    least = FLOOR**2 * begin
+    if farthest(looks, now, walk, least) <= LIMIT:
+        return []
+    moved, added = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE], walk * (now[TIME_S] - looks[:, [TIME_S]])
+    lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)
+    # of the readings from each look on
+    nis = np.cumsum(np.append(looks[:, NIS], now[NIS])[::-1])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
+    larger = np.maximum(nis, 1.0)[:, np.newaxis]
+    beyond = np.nan_to_num(moved**2 / np.maximum(lost * larger + least, 1e-300))
+    found = []
+    for axis in np.flatnonzero(beyond.max(axis=0) > LIMIT).tolist():
+        row = int(np.argmax(beyond[:, axis]))
+        followed = lost[row, axis] / (looks[row, VARIANCE + axis] + added[row, axis])
+        found.append((axis, row, OPENED * float(moved[row, axis]) / max(float(followed), LEAST)))
+    return found
+
+
+def _open(memory: FilterMemory, place: int, axis: int, size: float, looks: Array) -> None:
+    """Open a bias by a shift of this size since the first of these looks, and what that has done to the state: the
+    heading has turned ever further from then on, and with it the velocity and the way made; what a slow error has taken
+    of it goes with the heading, too. What it tilts is resisted.
+    """
+    P, nav = memory.P, memory.nav
+    since_s = np.append(looks[:, TIME_S], memory.time_s) - looks[0, TIME_S]
+    rate = -nav[6:15].reshape(3, 3)[:, axis] * size
+    heading = rate[2] * since_s
+    done = P[8] * (heading[-1] / P[8, 8])
+    north = np.diff(np.append(looks[:, LATITUDE], nav[0])) * nav[15]
+    east = np.diff(np.append(looks[:, LONGITUDE], nav[1])) * nav[16] * math.cos(nav[0])
+    between = 0.5 * (heading[1:] + heading[:-1])
+    done[:3] = -float(between @ east), float(between @ north), 0.0
+    done[3:5] = heading[-1] * np.array([-nav[4], nav[3]])
+    done[place] = 0.0
+    P += np.outer(done, done)
+    P[place, place] += size**2
+    P[range(6, 8), range(6, 8)] += (rate[:2] * min(since_s[-1], TILT_S)) ** 2

@@ -1,0 +1,202 @@
+"""Jumps of the inertial unit's biases, told from the innovations of all sensors, and what follows for the filter.
+
+What no sample shows by itself (an accelerometer that is off by 50 mg, a gyro with another sign) contradicts compass and
+DVL. `JumpWatch` holds one hypothesis for each axis of the drive and of each sensor, that its error has jumped, and
+forms their likelihood ratios by the kernel `navfilter.kernels.bias_glr.hear_jumps`. Where one of the drive explains the
+innovations, and no sensor's does as well, the inertial unit is left out for a while, and then used again with its
+biases open: a new bias is learnt within seconds. If it is no bias, it is left out again, for longer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.events import Correction, Event, Propagated, Relaid
+from navfilter.kernels import imu_checks as kernel
+from navfilter.kernels import strapdown
+from navfilter.kernels.bias_glr import AXES, carry_jumps, hear_jumps
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.filter.sensor_channel import Channel
+    from navfilter.filter.state_layout import Layout
+    from navfilter.models.mechanisation import Mechanisation
+
+__all__ = ["JumpWatch"]
+
+Array = NDArray[np.float64]
+#: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often [s]:
+#: what contradicts shows within two seconds, or is too small to do harm by then.
+WINDOWS, SPACING_S = 4, 0.5
+#: So many windows are too young to be judged by.
+YOUNG = 2
+#: Twice the log likelihood ratio, chi-square with one degree of freedom: six standard deviations, 2e-9 a look. Looks at
+#: 12 Hz on six axes, one in six or so of them independent, make 1e-4 false alarms an hour.
+LIMIT = 36.0
+#: Something else explains it as well if its ratio is so near: a hundred times less likely.
+MARGIN = 10.0
+#: Share of all squared innovations that the jump must explain: a ramp that began up to half a second after its window
+#: explains 0.9, a single outlier among three readings 0.64, noise less.
+SHARE = 0.85
+#: Left out for so long at first [s], twice as long each time that it fails again within as much, at most.
+OUT_S, LONGEST_S = 10.0, 160.0
+#: A bias is opened by so many times the jump that was found, whose time is known by `SPACING_S` only.
+OPENED = 3.0
+#: What is left must carry the vehicle: a velocity and a heading heard within so long [s].
+HEARD_S = 3.0
+#: One that has been left out is left out again when compass or DVL has been rejected for so long [s].
+REJECTED_S = 1.0
+
+
+class JumpWatch:
+    """Knows which row of a bank is which; all that it remembers stands in `FilterMemory.jumps` and ``watch``.
+
+    Parameters
+    ----------
+    drive : Mechanisation
+        An `Imu` with ``cross_check`` is watched.
+    """
+
+    def __init__(self, drive: Mechanisation) -> None:
+        self.active = bool(getattr(drive, "cross_check", False))
+        self._rows: dict[str, int] = {}
+
+    def fresh(self, layout: Layout, channels: dict[str, Channel], time_s: float) -> Array:
+        """What it remembers before the first reading, for these states."""
+        rows = AXES
+        for name, channel in channels.items():
+            self._rows[name], rows = rows, rows + channel.axes
+        banks = np.zeros((WINDOWS if self.active else 0, rows + 2, layout.size + 3))
+        for bank in banks:
+            for name in channels:
+                bank[self._rows[name], -1] = 1.0
+            self._begin(bank, layout)
+        return banks
+
+    def _begin(self, bank: Array, layout: Layout) -> None:
+        """A new window: the jumps happen now."""
+        bank[:-1, :-1], bank[-1, -1] = 0.0, 0.0
+        for axis in range(AXES):
+            states = layout.drive.biases[axis]
+            if states.size:
+                bank[axis, layout.drive.start + states[0]] = 1.0
+
+    def heard(self, event: Event, filter: Filter, value: Array | None = None) -> None:
+        """Take what the filter has done, and leave the inertial unit out where it is contradicted.
+
+        Parameters
+        ----------
+        event : Event
+        filter : Filter
+        value : ndarray, optional
+            Of the reading: one that repeats the one before to the bit says nothing, for its sensor may be stuck.
+        """
+        memory = filter.memory
+        if isinstance(event, Correction):
+            if event.channel is None or not self.active:
+                return
+            channel, banks = event.channel, memory.jumps
+            slot = int(memory.time_s / SPACING_S)
+            if filter.watch.busy(memory.watch):
+                # what stands in place of an axis is no white noise: what it does to innovations is no jump
+                for bank in banks:
+                    self._begin(bank, filter.layout)
+            elif slot != banks[0, -2, -1]:
+                self._begin(banks[slot % WINDOWS], filter.layout)
+            banks[0, -2, -1], largest = slot, 0.0
+            offset, says = self._rows[channel.name], True
+            if value is not None:
+                says = float(value.sum()) != banks[0, -1, offset]
+                banks[0, -1, offset] = value.sum()
+            for bank in banks:
+                largest = max(largest, hear_jumps(bank, channel.mem, channel.dims, channel.places, offset, says))
+            if largest > LIMIT:
+                self._judge(filter)
+            if self.fails_again(channel, memory):
+                self._leave_out(filter, np.zeros(AXES))
+        elif isinstance(event, Propagated):
+            for bank in memory.jumps:
+                carry_jumps(bank, event.transition)
+        elif isinstance(event, Relaid):
+            memory.jumps = self.fresh(filter.layout, filter.channels, memory.time_s)
+
+    def _judge(self, filter: Filter) -> None:
+        """Leave the unit out if a jump of one of its axes explains the innovations, and no jump of a sensor does."""
+        memory, n = filter.memory, filter.layout.size
+        rows = memory.jumps[:, :-2]
+        c = np.maximum(rows[:, :, n + 1], 1e-300)
+        likely, sizes = rows[:, :, n] ** 2 / c, rows[:, :, n] / c
+        # a few readings of a new window are explained by anything
+        slot = int(memory.jumps[0, -2, -1])
+        old = [(slot - back) % WINDOWS for back in range(YOUNG, WINDOWS)]
+        window = max(old, key=lambda k: likely[k, :AXES].max())
+        axis = int(np.argmax(likely[window, :AXES]))
+        best = likely[window, axis]
+        if best < likely[:, AXES:].max(initial=0.0) + MARGIN or best < SHARE * memory.jumps[window, -1, -1]:
+            return
+        if best < LIMIT or not self._carried(filter):
+            return
+        errors = sizes[window, :3, None] * rows[window, :3, 6:9]
+        # the velocity is opened by what stands in place of forces; what the gyros may have done to the attitude:
+        blamed = likely[window, :3] > best - MARGIN
+        memory.P[6:9, 6:9] += errors[blamed].T @ errors[blamed]
+        self._leave_out(filter, sizes[window, :AXES])
+
+    def accused(self, filter: Filter, slope: float) -> None:
+        """Leave the unit out for a while because of a ramp (`navfilter.faults.imu.acceleration`): it is its tilt, or a
+        bias.
+
+        Parameters
+        ----------
+        filter : Filter
+        slope : float
+            Of the ramp [m/s^2]; 0: it has failed again.
+        """
+        memory = filter.memory
+        tilt = slope / strapdown.gravity(memory.nav[0], memory.nav[2])
+        memory.P[range(6, 8), range(6, 8)] += tilt**2
+        if self._carried(filter):
+            self._leave_out(filter, np.repeat([tilt / OUT_S, slope], 3))
+
+    @staticmethod
+    def _carried(filter: Filter) -> bool:
+        """Whether compass and DVL carry the vehicle without it."""
+        recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
+        return any(c.moves and not c.aside for c in recent) and any(c.sensor.north is not None for c in recent)
+
+    @staticmethod
+    def fails_again(channel: Channel, memory: FilterMemory) -> bool:
+        """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
+        since_s = memory.time_s - channel.memory.rejected_since_s
+        late = memory.time_s - memory.watch[[0, 3], kernel.UNTIL_S].max() < LONGEST_S
+        carries = not channel.aside and (channel.moves or channel.sensor.north is not None)
+        return late and since_s > REJECTED_S and carries
+
+    def _leave_out(self, filter: Filter, sizes: Array) -> None:
+        """Gyros and accelerometers are left out for a while; the longer, the sooner they have failed again."""
+        now_s = filter.memory.time_s
+        for begin in (0, 3):
+            axes, first = filter.memory.watch[begin : begin + 3], filter.memory.watch[begin]
+            again = now_s - first[kernel.UNTIL_S] < max(first[kernel.OUT_S], OUT_S)
+            first[kernel.OUT_S] = min(2.0 * first[kernel.OUT_S], LONGEST_S) if again else OUT_S
+            first[kernel.UNTIL_S] = now_s + first[kernel.OUT_S]
+            left = axes[:, kernel.CODE] <= kernel.NOISY
+            axes[left, kernel.CODE], axes[left, kernel.BEGAN_S] = kernel.CONTRADICTED, 0.0
+            axes[:, kernel.JUMP] = np.maximum(axes[:, kernel.JUMP], OPENED * np.abs(sizes[begin : begin + 3]))
+        filter.watch.heed(filter, lambda: None)
+
+    def take_back(self, axes: Array, first: int, filter: Filter) -> None:
+        """Three axes, rows of the watch from `first` on, are used again: their biases may be what contradicted."""
+        back = (axes[:, kernel.CODE] == kernel.CONTRADICTED) & (axes[:, kernel.HELD] == 0.0)
+        g, P = filter.layout.drive, filter.memory.P
+        for axis in first + np.flatnonzero(back):
+            states = g.biases[axis]
+            if states.size:
+                place = g.start + states[0]
+                P[place, place] += filter.memory.watch[axis, kernel.JUMP] ** 2
+                filter.memory.watch[axis, kernel.JUMP] = 0.0
+        axes[back, kernel.CODE] = kernel.GOOD

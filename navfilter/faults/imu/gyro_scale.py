@@ -1,0 +1,207 @@
+"""Turns: how far a gyro says that the vehicle has turned, held against a compass.
+
+A gyro whose sign or scale is wrong shows in none of its samples, and does nothing while the vehicle goes straight on.
+In a turn it leads the heading away by tens of degrees within seconds. Then a compass that has been right so far is
+refused, and a velocity over ground too: the vehicle does not go where its nose seems to point. Step by step, what
+the gyro says is what the compass says, times a factor: no compass does that, whatever iron is around it, and one that
+is noisy, stuck or has jumped does not either. So the axis about which the vehicle turns is left out until it turns with
+the heading again; that is then the compass's, and all else goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults.allowed_change import wander
+from navfilter.kernels import imu_checks as kernel
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel_memory import ChannelMemory
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+
+__all__ = ["Turns", "agrees", "contradicted", "look", "refused"]
+
+Array = NDArray[np.float64]
+#: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s].
+STEP_S, LONGEST_S, STEPS, OLDEST_S = 0.5, 10.0, 24, 60.0
+#: A compass may turn by more or less than the vehicle, by this share of a step [1]: a deviation of 10 degrees does so.
+SHARE = 0.2
+#: A step counts as so much at most, as a square of standard deviations [1]: a single one proves nothing.
+MOST = 9.0
+#: How much likelier a factor has to be than none, as twice the log of the ratio [1]: four steps at least, six standard
+#: deviations.
+LIMIT = 36.0
+#: Of what contradicts, a factor must leave less than this share [1].
+LEFT = 0.35
+#: Factors between these are those of a deviation; smaller ones, of either sign, are none [1].
+NEARLY, NONE = (0.62, 1.6), 0.2
+#: So far the vehicle must have turned, fast, since the compass was refused for so long [rad], [s].
+FOLLOWED, DISPUTED_S = 1.0, 5.0
+#: Or the compass has agreed for so long, and was never refused for three seconds in ten minutes [s].
+USED_S = 60.0
+#: And it has been refused for so long on end [s]: of one with heavy tails that is refused now and then, those readings
+#: are far apart whatever the gyros say.
+LASTS_S = 1.0
+#: A velocity has been refused so lately [s].
+LATELY_S = 3.0
+#: An axis is used again once its factor is known to so much, and so close to 1 [1].
+KNOWN, CLOSE = 0.1, 0.25
+
+
+@dataclass(frozen=True)
+class Turns:
+    """What a compass said of the gyros when it was refused, or since one was left out.
+
+    Attributes
+    ----------
+    time_s, heading : float
+        Of the last look [s], [rad].
+    turned : float
+        How far the gyros had turned about the vertical [rad].
+    steps : tuple of tuple of float
+        Of each: time at its end [s], change of the heading by the compass and by the gyros [rad], variance of their
+        difference [rad^2].
+    followed : float
+        How far the vehicle had turned, fast, when the compass was last refused for long [rad].
+    """
+
+    time_s: float = -math.inf
+    heading: float = 0.0
+    turned: float = 0.0
+    steps: tuple[tuple[float, float, float, float], ...] = ()
+    followed: float = 0.0
+
+
+def refused(filter: Filter, channel: Channel, time_s: float, residual: float) -> None:
+    """Take a reading that has just been refused; where a compass contradicts a gyro, that is left out.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory is changed.
+    channel : Channel
+        As the rejected update left it.
+    time_s : float
+        Of the reading [s].
+    residual : float
+        Of the reading, slow error and all [rad].
+    """
+    memory, kept, w = filter.memory, channel.memory, filter.memory.watch
+    before = kept.turns or Turns()
+    if time_s - before.time_s < STEP_S or not filter.watch.active or (w[:3, kernel.HEEDED] > kernel.NOISY).any():
+        return
+    if math.isnan(residual):  # an attitude without a heading
+        return
+    north = channel.sensor.north
+    noise = float(2.0 * channel.R[north, north] + wander(channel, time_s - before.time_s)[north])
+    now = _stepped(before, time_s, _heading(memory.nav) + residual, w, noise)
+    kept.turns = now
+    axis = int(np.argmax(np.abs(memory.nav[12:15] * w[:3, kernel.MEAN])))
+    turned = float(np.sum(np.abs([step[2] for step in now.steps])))
+    fast = float(w[kernel.UNIT, kernel.FAST])
+    proven = fast - now.followed - turned >= FOLLOWED or _undisputed(kept)
+    lasts = time_s - kept.rejected_since_s >= LASTS_S
+    may_be = lasts and proven and _velocity_refused(filter, time_s)
+    since_s = contradicted(now.steps) if may_be else None
+    if since_s is None:
+        if time_s - kept.rejected_since_s >= DISPUTED_S:
+            kept.turns = replace(now, followed=fast)
+        return
+    _leave_out(filter, axis, residual, time_s - since_s)
+    kept.turns = replace(now, steps=())
+
+
+def look(filter: Filter) -> None:
+    """Whether a gyro that is left out turns with the heading again; then it may be used."""
+    memory, w = filter.memory, filter.memory.watch
+    held = np.flatnonzero(w[:3, kernel.HELD])
+    for channel in filter.channels.values():
+        kept = channel.memory
+        if not len(held) or kept.turns is None or memory.time_s - kept.turns.time_s < STEP_S:
+            continue
+        noise = 2.0 * float(memory.P[8, 8])
+        kept.turns = _stepped(kept.turns, memory.time_s, _heading(memory.nav), w, noise)
+        if memory.time_s - kept.used_s < LATELY_S and agrees(kept.turns.steps):
+            w[held, kernel.HELD], kept.turns = 0.0, replace(kept.turns, steps=())
+
+
+def contradicted(steps: tuple[tuple[float, ...], ...]) -> float | None:
+    """Since when a gyro turns by a multiple of what a compass does [s]; None where it does not.
+
+    Parameters
+    ----------
+    steps : tuple of tuple of float
+        See `Turns`.
+
+    Examples
+    --------
+    >>> noise = [0.004, -0.002, 0.001, -0.005, 0.003, 0.0]
+    >>> contradicted(tuple((1.0 * k, 0.1 + e, 0.1, 2e-5) for k, e in enumerate(noise)))
+    >>> contradicted(tuple((1.0 * k, 0.1 + e, -0.1, 2e-5) for k, e in enumerate(noise)))
+    0.0
+    """
+    best, since_s = LIMIT, None
+    for first in range(len(steps)):
+        time_s, c, g, v = np.array(steps[first:]).T
+        v = v + (SHARE * np.maximum(np.abs(c), np.abs(g))) ** 2
+        factor = float(np.sum(c * g / v) / max(float(np.sum(c * c / v)), 1e-300))
+        against = float(np.minimum((c - g) ** 2 / v, MOST).sum())
+        left = float(np.minimum((g - factor * c) ** 2 / (v * max(1.0, factor**2)), MOST).sum())
+        if against - left > best and left < LEFT * against and not _is_one(factor):
+            best, since_s = against - left, float(time_s[0])
+    return since_s
+
+
+def _is_one(factor: float) -> bool:
+    return NEARLY[0] < factor < NEARLY[1] or abs(factor) < NONE
+
+
+def agrees(steps: tuple[tuple[float, ...], ...]) -> bool:
+    """Whether a gyro turns as a compass does, and by enough to say so."""
+    if not steps:
+        return False
+    _, c, g, v = np.array(steps).T
+    information = float(np.sum(c * c / v))
+    factor = float(np.sum(c * g / v)) / max(information, 1e-300)
+    return information > KNOWN**-2 and abs(factor - 1.0) < CLOSE and contradicted(steps) is None
+
+
+def _heading(nav: Array) -> float:
+    return math.atan2(nav[9], nav[6])
+
+
+def _stepped(before: Turns, time_s: float, heading: float, w: Array, noise: float) -> Turns:
+    """With one more look."""
+    turned, off = float(w[kernel.UNIT, kernel.TURNED]), math.remainder(heading - before.heading, 2.0 * math.pi)
+    steps = tuple(step for step in before.steps if time_s - step[0] < OLDEST_S)
+    if time_s - before.time_s <= LONGEST_S:
+        steps = (*steps, (time_s, off, turned - before.turned, noise))[-STEPS:]
+    return replace(before, time_s=time_s, heading=heading, turned=turned, steps=steps)
+
+
+def _undisputed(compass: ChannelMemory) -> bool:
+    return compass.undisputed and compass.used_s - compass.agreed_s >= USED_S
+
+
+def _velocity_refused(filter: Filter, time_s: float) -> bool:
+    """Whether a velocity contradicts the state, too."""
+    moving = [c.memory for c in filter.channels.values() if c.moves and not c.aside]
+    return any(m.refused_s > time_s - LATELY_S or not math.isnan(m.rejected_since_s) for m in moving)
+
+
+def _leave_out(filter: Filter, axis: int, residual: float, seconds: float) -> None:
+    """An axis is left out; heading, velocity and position are opened by what it has done."""
+    memory, w, g = filter.memory, filter.memory.watch, filter.layout.drive
+    P, way = memory.P, math.hypot(*memory.nav[3:5].tolist()) * abs(residual)
+    P[8, 8] += residual**2
+    P[range(3, 5), range(3, 5)] += way**2
+    P[range(2), range(2)] += (way * seconds) ** 2
+    w[axis, kernel.CODE], w[axis, kernel.BEGAN_S], w[axis, kernel.HELD] = kernel.CONTRADICTED, 0.0, 1.0
+    w[axis, kernel.JUMP] = math.sqrt(float(g.C[axis] @ g.P0[: g.errors, : g.errors] @ g.C[axis]))
+    filter.watch.heed(filter, lambda: None)

@@ -1,0 +1,237 @@
+"""Attitude and velocity set anew under way, by what the instruments say: a coarse alignment (Groves, 2013, sec. 5.6).
+
+After a time without the drive, or one in which it was worth nothing, roll and pitch may be wrong by more than a linear
+filter bears, and more than its covariance says: the vehicle has manoeuvred unseen. Gravity, turned by such a tilt, then
+drives the velocity away from a DVL that is right. What knows better is at hand: the mean force of the accelerometers
+shows where down is, but for what the vehicle accelerates; the DVL shows the velocity. They replace roll, pitch and
+velocity, with the variance of their own errors, and nothing is left of what the old ones had in common with other
+states. The heading stays: compass readings correct it as large as its error may be.
+
+Where nothing was heard for long, neither drive nor sensors, no vehicle has gone further than it can.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults import ground_velocity
+from navfilter.faults.alternative_path import believable, followed, full_residual, most_speed
+from navfilter.filter.events import StoodIn
+from navfilter.kernels import imu_checks as kernel
+from navfilter.kernels import strapdown
+from navfilter.models.state import rotation_matrix
+
+if TYPE_CHECKING:
+    from navfilter.filter.events import Listening
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+
+__all__ = ["after_fault", "attend", "set_anew", "tilted"]
+
+Array = NDArray[np.float64]
+#: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
+#: gravity, into an error that no covariance has [rad].
+SURE_SD = 0.05
+#: The level contradicts the state beyond this NIS, of two components: 3e-7 of the good ones do.
+LIMIT = 30.0
+#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.navigation.alignment` refuses it, too.
+EXCESS = 1.5
+#: A velocity that has been refused for so long contradicts the state [s].
+REFUSED_S = 1.0
+#: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
+HEARD_S, VELOCITY_SD = 1.0, 0.1
+
+
+class Level(NamedTuple):
+    """Where down is.
+
+    Attributes
+    ----------
+    turn : ndarray, shape (3,)
+        Rotation vector in n from the attitude as it is to the one that the accelerometers show [rad].
+    variance : float
+        Of its two horizontal components [rad^2].
+    doubt : float
+        NIS of the state's tilt against it.
+    sd : float
+        Larger one of the two that the state has for its tilt [rad].
+    """
+
+    turn: Array
+    variance: float
+    doubt: float
+    sd: float
+
+    @property
+    def knows_better(self) -> bool:
+        """Whether the state's tilt is not known, but here it is; or it is contradicted."""
+        return self.sd > max(SURE_SD, math.sqrt(self.variance)) or self.doubt > LIMIT
+
+
+def after_fault(filter: Filter, tell: Listening) -> None:
+    """While axes of the drive are left out, and when they are used again: set attitude and velocity anew where the
+    tilt is not known, or not what the accelerometers say; and say that they were.
+
+    Parameters
+    ----------
+    filter : Filter
+    tell : callable
+        Is told of it.
+    """
+    level = _level(filter)
+    if level is not None and level.knows_better:
+        set_anew(filter, tell)
+    tell(StoodIn(filter.watch.stood_in_s(filter.memory.watch)))
+
+
+def tilted(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a velocity that has been refused for `REFUSED_S` shows that the attitude is wrong: the accelerometers
+    contradict it, or it is not known.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        Whose reading has just been refused.
+    time_s : float
+    """
+    if not channel.moves or not filter.inertial or not time_s - channel.memory.rejected_since_s >= REFUSED_S:
+        return False
+    level = _level(filter)
+    return level is not None and level.knows_better
+
+
+def set_anew(filter: Filter, tell: Listening) -> None:
+    """Roll, pitch and velocity by accelerometers and DVL; by one of them where there is no other."""
+    level, memory, state = _level(filter), filter.memory, filter.state
+    velocity, refused = state.velocity_n.copy(), _refused_velocity(filter)
+    if level is None and refused is None:
+        return
+    n, C = filter.layout.size, state.C_nb
+    M, N = np.eye(n), np.zeros((n, n))
+    if level is not None:
+        C = rotation_matrix(level.turn) @ C
+        M[6, 6] = M[7, 7] = 0.0
+        N[6, 6] = N[7, 7] = level.variance
+        # what turned it about two axes may have turned it about the third
+        N[8, 8] = 0.5 * float(level.turn @ level.turn)
+    if refused is not None:
+        off, channel = refused
+        velocity = velocity + off
+        M[range(3, 6), range(3, 6)] = 0.0
+        attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
+        N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
+        if channel.memory.way is None:  # whose way nobody has kept
+            N[:3, :3] = np.outer(off, off) * (memory.time_s - channel.memory.refused_from_s) ** 2
+        else:
+            N[:2, :2] = followed(filter, channel)
+        for channel in filter.channels.values():
+            if channel.moves and not channel.aside:
+                channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
+    memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0  # a mean over what was replaced shows no rest
+    memory.counts["realigned"] += 1
+    filter.put(velocity, C, M, N, tell)
+    filter.watch.refer(memory.watch, memory.nav, memory.P)
+    filter.weigh()  # from the same memory it comes out the same, whenever it is recalled
+
+
+def attend(filter: Filter, missing: bool, tell: Listening) -> None:
+    """Note when nothing is heard any more, and take account of it before what is heard next, be it a reading: however
+    the time between is cut into pieces.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory is changed.
+    missing : bool
+        Whether samples are missing from here on.
+    tell : callable
+        Is told of what changes.
+    """
+    memory = filter.memory
+    if missing and not memory.quiet:
+        memory.quiet = (memory.time_s, *np.diag(memory.P)[:3].tolist())
+    elif memory.quiet and not missing:
+        _bound(filter, tell)
+
+
+def _bound(filter: Filter, tell: Listening) -> None:
+    """After a time in which nothing was heard, before the next reading or sample: no more variance of velocity and
+    position than the vehicle's speed gives them. The velocity that it had may have been that of any direction since.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory says since when, and the variance of the position before.
+    tell : callable
+        Is told of it.
+    """
+    (begun_s, *position), filter.memory.quiet = filter.memory.quiet, ()
+    seconds = filter.memory.time_s - begun_s
+    memory, state = filter.memory, filter.state
+    assert state.covariance is not None
+    speed = float(np.linalg.norm(state.velocity_n))
+    most = float(most_speed(speed, filter.vehicle.drive.max_speed_m_s))
+    velocity = (0.5 * (most + speed)) ** 2
+    most_variance = np.concatenate([np.array(position) + velocity * seconds**2, np.full(3, velocity)])
+    shrink = np.sqrt(np.minimum(1.0, most_variance / np.diag(state.covariance)[:6]))
+    if (shrink < 1.0).any():
+        M = np.eye(len(memory.P))
+        M[range(6), range(6)] = shrink
+        filter.put(state.velocity_n, state.C_nb, M, np.zeros_like(M), tell)
+    tell(StoodIn(seconds))
+
+
+def _tells_tilt(channel: Channel, now_s: float) -> bool:
+    """Whether a sensor that reads roll and pitch agrees with the state, and has been used lately."""
+    memory, instrument = channel.memory, channel.sensor.north is not None and channel.axes > 1
+    return instrument and memory.agrees and now_s - memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
+
+
+def _level(filter: Filter) -> Level | None:
+    """What the accelerometers show; None where they are not used, or feel more than gravity, and while an instrument
+    that tells the tilt itself is used.
+    """
+    memory, watch = filter.memory, filter.memory.watch
+    if any(_tells_tilt(channel, memory.time_s) for channel in filter.channels.values()):
+        return None
+    if not filter.watch.active or (watch[3:6, kernel.HEEDED] > kernel.NOISY).any() or not watch[3, kernel.SEEN]:
+        return None
+    g, state = filter.layout.drive, filter.state
+    C = g.C[3:6]
+    k = C.shape[1]
+    force = watch[3:6, kernel.MEAN] - C @ memory.x[:k]
+    gravity, size = strapdown.gravity(memory.nav[0], memory.nav[2]), float(np.linalg.norm(force))
+    if not abs(size - gravity) < EXCESS:
+        return None
+    down = state.C_nb @ (-force / size)
+    angle, across = math.atan2(math.hypot(down[0], down[1]), down[2]), math.hypot(down[0], down[1])
+    turn = np.array([down[1], -down[0], 0.0]) * (angle / across if across > 0.0 else 1.0)
+    drive = filter.vehicle.drive
+    shaken = watch[3:6, kernel.NOISE].max() / 6.0 * drive.period_s / kernel.MEAN_S
+    bias = np.einsum("ij,jk,ik->i", C, memory.P[9 : 9 + k, 9 : 9 + k], C).max()
+    variance = float(drive.gap_force_sd**2 + shaken + bias) / gravity**2  # type: ignore[attr-defined]
+    assert state.covariance is not None
+    tilt = state.covariance[6:8, 6:8]
+    doubt = float(turn[:2] @ np.linalg.solve(tilt + variance * np.eye(2), turn[:2]))
+    return Level(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
+
+
+def _refused_velocity(filter: Filter) -> tuple[Array, Channel] | None:
+    """By how much the velocity in n is off, as a sensor says whose readings are refused."""
+    for channel in filter.channels.values():
+        memory, now_s = channel.memory, filter.memory.time_s
+        refused = channel.moves and not channel.aside and not math.isnan(memory.rejected_since_s)
+        if refused and now_s - memory.last_s < HEARD_S:
+            residual = ground_velocity.components(channel, full_residual(filter, channel))
+            seen = np.isfinite(residual)
+            N = ground_velocity.components(channel, channel.near)[seen, 3:6]
+            speed, most = math.hypot(*filter.memory.nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s
+            whole = len(N) >= 2 and np.isfinite(N).all()  # none over ground where only the water track is left
+            if whole and believable(residual, speed, most) and np.linalg.matrix_rank(N) >= 2:
+                return np.linalg.pinv(N) @ residual[seen], channel
+    return None

@@ -1,0 +1,132 @@
+"""The noise of a sensor that scatters by more than its error model says.
+
+Its readings are refused one after the other, and do not agree with each other either: so neither the state is wrong
+nor has the sensor jumped. By how much they scatter shows in the second differences of successive residuals (von
+Neumann, 1941), which know nothing of a constant, of a scale, of a state that goes astray. What they have beyond the
+error model is added to the variance of the next reading, axis by axis: it passes the gate again, and weighs what it is
+worth. Its NIS goes on to be that of the description, by which health and verdict say that the sensor is noisy. One
+that scatters by so much that it says nothing (another unit) is refused until that is over.
+
+What leads the readings astray is no noise. Of a velocity, and of a height, beside accelerometers it goes as the time, a
+tilt or an acceleration that is wrong, and nothing of that is in a second difference but what the sensor corrects from
+reading to reading. Of any other it is what drive and coloured error may add from one reading to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults.allowed_change import wander
+from navfilter.kernels import noise_scale as kernels
+from navfilter.kernels import open_loop_residual
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.filter.sensor_channel import Channel
+
+__all__ = ["Scatter", "facts", "heard", "noted", "variances"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """How a sensor scatters.
+
+    Attributes
+    ----------
+    noted : ndarray
+        See `navfilter.kernels.noise_scale`; it is not written to.
+    """
+
+    noted: Array
+
+    @property
+    def watched(self) -> bool:
+        """Whether every reading has to be heard."""
+        return bool(self.noted[kernels.WATCHED])
+
+    @property
+    def excess(self) -> Array:
+        """What is added to the variance of the next reading, by axis. Infinite: it says nothing."""
+        axes = (self.noted.size - kernels.LAST) // (3 + 2 * kernels.MOST)
+        return self.noted[kernels.LAST + 2 * axes : kernels.LAST + 3 * axes]
+
+    @property
+    def worthless(self) -> bool:
+        """Whether it says nothing."""
+        return bool(np.isinf(self.excess).any())
+
+    def is_of(self, axes: int) -> bool:
+        """Whether a kernel can go by it, of a sensor of so many axes: it may have come from outside."""
+        if not isinstance(self.noted, np.ndarray) or self.noted.shape != (kernels.size(axes),):
+            return False
+        count, place = self.noted[[kernels.COUNT, kernels.NEXT]]
+        return bool(0.0 <= count <= kernels.MOST and 0.0 <= place < kernels.MOST)
+
+    @classmethod
+    def of(cls, noted: Array) -> Scatter | None:
+        """What a kernel has noted; None where nothing is."""
+        return None if noted[kernels.TIME_S] == -math.inf else cls(noted)
+
+
+def noted(channel: Channel) -> Array:
+    """What is noted of a channel, to be written to."""
+    kept = channel.memory.scatter
+    if kept is not None:
+        return kept.noted.copy()
+    fresh = np.zeros(kernels.size(channel.axes))
+    fresh[kernels.TIME_S] = -math.inf
+    return fresh
+
+
+def facts(filter: Filter, channel: Channel) -> Array:
+    """What the kernel has to know of a channel."""
+    if channel.facts is not None and not channel.offset:  # where it has jumped, errors go with the speed
+        return channel.facts
+    sensor, a = channel.sensor, channel.axes
+    velocity = sensor.open_loop == open_loop_residual.VELOCITY
+    kind = kernels.HEADING if sensor.north is not None else kernels.VELOCITY if velocity else kernels.OTHER
+    height = sensor.open_loop == open_loop_residual.POSITION and a == 1
+    known = np.zeros(kernels.facts_size(a))
+    known[kernels.LASTING], known[kernels.KIND] = filter.inertial and (velocity or height), kind
+    known[kernels.PERIOD_S], known[kernels.DRIVE_PERIOD_S] = channel.period_s, filter.vehicle.drive.period_s
+    known[kernels.BY_AXIS : kernels.BY_AXIS + a] = wander(channel, channel.period_s)
+    known[kernels.BY_AXIS + a : kernels.BY_AXIS + 2 * a] = channel.group.r
+    channel.facts = known
+    return known
+
+
+def variances(kept: Scatter, plain: Array) -> Array:
+    """White variances of a reading, with what it scatters by beyond them."""
+    return plain if kept.worthless else np.asarray(plain + kept.excess)
+
+
+def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> float:
+    """Take a reading, and return its NIS by the description of its sensor.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its kernel left it; its memory takes note.
+    time_s : float
+        Of the reading [s].
+    frozen : bool
+        The value has not changed for suspiciously long.
+    """
+    kept, (nis, dof, used) = channel.memory.scatter, channel.verdict.tolist()
+    if (used and (kept is None or not kept.watched)) or not (dof and math.isfinite(nis)):
+        return nis  # a stretch does not tell these
+    memory, note, at = filter.memory, noted(channel), channel.places
+    north = -1 if channel.sensor.north is None else channel.sensor.north
+    ignored = frozen or channel.aside or filter.watch.busy(memory.watch)
+    of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
+    nis = kernels.heard(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
+    channel.memory.scatter = Scatter.of(note)
+    return float(nis)

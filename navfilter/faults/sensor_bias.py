@@ -1,0 +1,349 @@
+"""Agreement: what several refused readings say together that one of them must not.
+
+A single reading beyond its gate proves nothing. Several on end, refused by one constant offset that dead reckoning
+confirms between them, prove that either the state or the sensor is off by it. Which of them is decided by what came
+before: a sensor that had agreed with the state for long and left it from one reading to the next has jumped, for no
+vehicle can; a state that nobody had confirmed was told wrongly, or has gone astray while nobody looked.
+
+Nothing here changes anything: each function returns what the filter has to add.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults import ground_velocity, velocity_fault
+from navfilter.faults.allowed_change import reckoned, wander
+from navfilter.faults.alternative_path import REACH_M
+from navfilter.faults.protection_level import CONFIRMED_S
+from navfilter.faults.refusals import Refusals
+from navfilter.filter.sensor_channel import Channel
+from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.kernels import open_loop_residual
+
+__all__ = [
+    "alike",
+    "as_usual_until_s",
+    "decided",
+    "disproved",
+    "heard",
+    "is_back",
+    "is_gauge",
+    "is_none",
+    "judges",
+    "limits",
+    "offset_places",
+    "opened_state",
+]
+
+Array = NDArray[np.float64]
+
+#: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
+#: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
+SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
+#: Times that differ by less are the same [s].
+SAME_S = 1e-6
+#: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
+BEFORE_S = 2.0
+#: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
+AT_ONCE = 1.5
+#: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
+#: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity tells what the covariance of a
+#: position may gather meanwhile.
+HELD = 0.25
+#: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
+#: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
+SURFACED = chi_square_limit(0.99, np.arange(1, 4))
+#: A height that is off from its gauge by so many times as much as at first has gone away from it [1].
+GROWN = 3.0
+#: A constant that is off by no more of its standard deviations is zero but for chance [1]: one in three is off by more.
+CHANCE = 1.0
+#: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
+AGAIN = 0.02
+
+
+# ---------------------------------------------------------------- hearing refused readings
+def judges(channel: Channel) -> bool:
+    """Whether anything is to be made of refused readings of its kind that agree."""
+    return channel.sensor.open_loop != open_loop_residual.NOTHING or channel.sensor.north is not None
+
+
+def is_gauge(channel: Channel) -> bool:
+    """Whether it tells the height, and nothing else."""
+    return channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 1
+
+
+def alike(one: Channel, other: Channel) -> bool:
+    """Whether two sensors confirm the same of the state."""
+    if one.sensor.north is not None:
+        return other.sensor.north is not None
+    return one.sensor.open_loop == other.sensor.open_loop and one.axes == other.axes
+
+
+def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float) -> Refusals:
+    """The refusals of a channel with the reading that its kernel has just refused.
+
+    Parameters
+    ----------
+    channel : Channel
+    P : ndarray, shape (n, n)
+        Covariance now.
+    speed : float
+        Of the vehicle [m/s].
+    time_s : float
+        Of the reading [s].
+    drive_output, period_s : ndarray, float
+        Rows of C of the drive's error models with the white variance of a sample, and its period [s].
+
+    Notes
+    -----
+    The offset is followed by a scalar Kalman filter per axis. What the sensor's coloured error and dead reckoning may
+    have changed since the reading before is its process noise, the white error its measurement noise: the sum of the
+    normalised innovations is then the chi-square test of the residuals about their weighted mean.
+    """
+    memory, a = channel.memory, channel.axes
+    residual = np.array(channel.res[:a])
+    white = np.array([max(variance, 1e-300) for variance in channel.R.diagonal().tolist()])
+    seen = np.einsum("ij,jk,ik->i", channel.near[:, :9], P[:9, :9], channel.near[:, :9])
+    before = memory.refused
+    if before is None:
+        near = time_s - memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
+        confirmed = near and memory.used_s - memory.agreed_s >= CONFIRMED_S
+        # an error that grows reaches the gate just so, now and then; one that jumps is beyond it at once
+        now_and_then = time_s - memory.refused_s <= BEFORE_S and memory.undisputed
+        at_once = not now_and_then and channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
+        first = tuple(residual.tolist())
+        new = Refusals(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
+        return _begun(new, residual, white, seen, time_s)
+    dt = max(time_s - before.last_s, 0.0)
+    # what other sensors have corrected meanwhile is what the variance has lost
+    corrected = np.maximum(np.array(before.seen) - seen, 0.0)
+    slack = corrected + wander(channel, dt) + reckoned(channel.sensor, P, speed, dt, drive_output, period_s)
+    offset, variance = np.array(before.offset), np.array(before.variance) + slack
+    nu, S = residual - offset, variance + white
+    channel.wrap(nu)
+    squares = nu**2 / S
+    dof = int(np.count_nonzero(np.isfinite(squares)))
+    nis = float(np.nansum(squares))
+    if not before.scatters and dof and nis <= channel.limits[dof]:
+        return replace(_joined(before, nu, variance, S, nis, time_s), seen=tuple(seen.tolist()))
+    # one that does not agree is passed over; after two on end it is the later one that counts
+    return _begun(before, residual, white, seen, time_s) if before.odd else replace(before, odd=True)
+
+
+def _joined(before: Refusals, nu: Array, variance: Array, S: Array, nis: float, time_s: float) -> Refusals:
+    gain = np.where(np.isfinite(nu), variance / S, 0.0)
+    return replace(
+        before,
+        offset=tuple((np.array(before.offset) + gain * np.nan_to_num(nu)).tolist()),
+        variance=tuple(((1.0 - gain) * variance).tolist()),
+        last_s=time_s,
+        count=before.count + 1,
+        misfit=before.misfit + nis,
+        dof=before.dof + int(np.count_nonzero(gain)),
+        odd=False,
+    )
+
+
+def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: float) -> Refusals:
+    """A run of refusals that agree with its latest one only."""
+    offset, variance, state = (tuple(values.tolist()) for values in (residual, white, seen))
+    return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
+
+
+def limits(channel: Channel, z: Array, time_s: float) -> Array:
+    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, while it is
+    astray, and after a dive; shut to one that is stale, or of a sensor that has been set aside or says nothing; whole
+    where single components have been left out for long.
+    """
+    dived = channel.has_dived(time_s)
+    if not (channel.stale or channel.doubted or dived):
+        return channel.limits
+    refused, closer = channel.memory.refused, channel.limits.copy()
+    if time_s - channel.memory.partly_since_s >= channel.partly_for_s:
+        closer[0] = np.inf
+    held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
+    held = held and not (channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3)
+    if held or channel.memory.astray:
+        closer[1 : 1 + channel.axes] *= HELD
+    if dived:
+        closer[1:4] = np.minimum(closer[1:4], SURFACED)
+    if disproved(channel, time_s) and refused is not None and not refused.agree(SPAN_S):
+        closer[1 : 1 + channel.axes] = -1.0
+    kept, scatter = channel.memory.aside, channel.memory.scatter
+    worthless = scatter is not None and scatter.worthless
+    if worthless or channel.stale or (kept is not None and not velocity_fault.unchanged(kept, z)):
+        closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
+    return closer
+
+
+def as_usual_until_s(channel: Channel) -> float:
+    """Until when a reading that its gate lets in is as any other, although some may have been refused before it [s]."""
+    memory, refused = channel.memory, channel.memory.refused
+    if channel.contested:
+        return -math.inf
+    if refused is None:
+        return math.inf
+    fixes = channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3
+    left = refused.jumped or not memory.undisputed
+    if refused.jumped and not fixes:
+        return -math.inf
+    since_s = memory.rejected_since_s + SPAN_S if left and channel.sensor.north is not None else math.inf
+    return min(since_s, memory.used_s + channel.dive_s) - SAME_S
+
+
+def disproved(channel: Channel, time_s: float) -> bool:
+    """Whether a compass has proved wrong by more than a constant and a deviation: what it reads has been refused for
+    long, and it had left the state at once, or was wrong before. Then the state has not: a gyro does not turn so. What
+    reads the mirror of the heading, or one axis less, is right twice in a circle, and wrong again by the next turn.
+    """
+    memory = channel.memory
+    if channel.sensor.north is None or channel.offset or memory.refused is None:
+        return False
+    left = memory.refused.jumped or not memory.undisputed
+    return left and time_s - memory.rejected_since_s > SPAN_S
+
+
+def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"] | None:
+    """What is wrong, when the refused readings of a channel agree: the state where it was not confirmed, the sensor
+    where it had confirmed the state and left it at once; and the state where it is a height that nothing but
+    accelerometers carries, which goes further and further away from its gauge. None: they do not agree, or nobody can
+    say.
+
+    Parameters
+    ----------
+    channel : Channel
+        As its refused reading left it.
+    carried : bool
+        Whether more than accelerometers tells the height.
+    """
+    memory, kind = channel.memory, channel.sensor.open_loop
+    refused = memory.refused
+    if refused is not None and not carried and is_gauge(channel) and refused.last_s - memory.rejected_since_s >= SPAN_S:
+        off = float(np.abs(channel.res[0]))
+        if off > GROWN * abs(refused.first[0]) and off < REACH_M:
+            return "state"
+    if refused is None or not refused.agree(VELOCITY_SPAN_S if kind == open_loop_residual.VELOCITY else SPAN_S):
+        return None
+    fixes = kind == open_loop_residual.POSITION and channel.axes == 3
+    if refused.from_the_first():
+        # a fix that is off by a constant says nothing more; a compass that came to agree on one late was off by more
+        return None if fixes or disproved(channel, refused.began_s) else "sensor"
+    if kind == open_loop_residual.POSITION and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
+        return None
+    unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S
+    # after a dive fixes beat what was reckoned meanwhile
+    return "state" if unconfirmed or (fixes and not refused.confirmed) else None
+
+
+# ---------------------------------------------------------------- the state was wrong
+def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool, carried: bool) -> Array:
+    """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
+
+    The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
+    correlations stay what they are, and become small beside the new variance. What the wrong component has done since
+    the start follows it.
+
+    Parameters
+    ----------
+    channel : Channel
+        As its refused reading left it.
+    refused : Refusals
+    moved_m : float
+        Distance from the start [m].
+    held : bool
+        Whether another sensor tells the height, and agrees.
+    carried : bool
+        Whether more than accelerometers tells the height. Else one that has gone away from its gauge went with a
+        vertical velocity that was off by as much as it has grown in that time.
+    """
+    V = np.zeros((9, 9))
+    offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])
+    size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
+    fits = np.array(refused.variance) + np.array(refused.seen)
+    kind = channel.sensor.open_loop
+    north = channel.sensor.north
+    if north is not None:
+        # heading and velocity are turned (`course.turned`); the way made good may be turned by as much
+        V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[north])), math.pi)) * moved_m) ** 2
+        # a tilt that fits is not opened
+        beyond = offset**2 > channel.limits[1] * fits
+        tilt = np.where(beyond & (np.arange(channel.axes) != north), size, 0.0)
+        V[6:8, 6:8] = channel.near[:, 6:8].T @ (tilt[:, None] * channel.near[:, 6:8])
+        return V
+    first = 0 if kind == open_loop_residual.POSITION else 3
+    if kind == open_loop_residual.POSITION and channel.axes == 3:
+        # a height that fits is not opened, nor one that another sensor holds while it is the place that does not fit
+        beyond = offset**2 > channel.limits[1:4] * (fits + channel.slow)
+        size[2] = size[2] if beyond[2] and not (held and beyond[:2].any()) else 0.0
+    N = channel.near[:, first : first + 3]
+    V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
+    if is_gauge(channel) and not carried:
+        span_s = refused.last_s - channel.memory.rejected_since_s
+        # as the time, or as its square: the velocity is one or two times the mean one
+        off, mean = offset @ N, offset @ N / span_s
+        V[:3, 3:6], V[3:6, :3] = 1.5 * np.outer(off, mean), 1.5 * np.outer(mean, off)
+        V[3:6, 3:6] = (1.5**2 + 0.5**2) * np.outer(mean, mean)
+    if kind == open_loop_residual.VELOCITY and channel.sensor.ground != ground_velocity.AXES:
+        known = ground_velocity.components(channel, seen).astype(bool)
+        A = ground_velocity.as_velocity(channel, known)
+        off, variance = (ground_velocity.components(channel, np.array(v))[known] for v in (offset, refused.variance))
+        V[3:6, 3:6] = np.outer(A @ off, A @ off) + A @ (variance[:, None] * A.T)
+    if kind == open_loop_residual.VELOCITY:
+        V[:3, :3] = V[3:6, 3:6] * (refused.last_s - refused.began_s) ** 2
+    return V
+
+
+# ---------------------------------------------------------------- the sensor was wrong
+def offset_places(channel: Channel) -> NDArray[np.int64]:
+    """Where the constants of a sensor that has jumped stand in the error state; empty where it has none."""
+    return np.asarray(channel.group.start + channel.offsets)
+
+
+def is_none(channel: Channel, x: Array, P: Array) -> bool:
+    """Whether the constants of a sensor that has jumped are told to be none: each, and what they make of a reading, is
+    zero within `CHANCE` of its standard deviations, and the latter is known as well as two readings may differ anyway.
+
+    Parameters
+    ----------
+    channel : Channel
+    x : ndarray, shape (n - 9,)
+        Error states.
+    P : ndarray, shape (n, n)
+        Covariance.
+    """
+    places = offset_places(channel)
+    if not (x[places - 9] ** 2 <= CHANCE**2 * P[places, places]).all():
+        return False
+    off = channel.C[:, places - channel.group.start]
+    known = np.einsum("ij,jk,ik->i", off, P[np.ix_(places, places)], off)
+    none = np.all((off @ x[places - 9]) ** 2 <= CHANCE**2 * known)
+    return bool(none and np.all(known <= np.diag(channel.R) + wander(channel, math.inf, with_offset=False)))
+
+
+def is_back(channel: Channel, constant: Array, P: Array) -> bool:
+    """Whether a reading that is refused beside the constants of its sensor agrees with the state without them.
+
+    Parameters
+    ----------
+    channel : Channel
+        As its refused reading left it.
+    constant : ndarray, shape (axes,)
+        By how much it is off by those.
+    P : ndarray, shape (n, n)
+        Covariance.
+    """
+    near, plain = channel.near[:, :9], channel.res + constant
+    channel.wrap(plain)
+    seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
+    if channel.memory.either and not float(constant @ constant) > channel.limits[1] * float(seen.sum()):
+        return False  # the state is not known well enough to tell whether it is the gauge that was off
+    meanwhile = (AGAIN * constant) ** 2
+    squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)
+    dof = int(np.count_nonzero(np.isfinite(squares)))
+    return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])

@@ -1,0 +1,113 @@
+"""What an error model makes of a channel, wherever its states stand. On board the learning thread works it out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults.bias_plausibility import believed
+from navfilter.filter.delayed_measurement import Sight
+from navfilter.filter.state_layout import Group
+from navfilter.kernels import delayed_state
+from navfilter.kernels.compiling import addresses
+from navfilter.kernels.compiling.addresses import address
+from navfilter.models.fault_bias import deviations, has_offset, offset_states, proportions
+from navfilter.models.sensors import Sensor
+
+__all__ = ["Described"]
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+
+class Described(NamedTuple):
+    """A channel as its error model describes it.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        With that error model.
+    Phi, variance : ndarray
+        Of its states, and the white variance of the gyros' rates, shape (3,), for which it is so.
+    offset : bool
+        It has jumped.
+    kernels : tuple of int
+        Addresses of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked.
+    offsets : ndarray of int
+        Which of its error states are constants of a jump.
+    proportions, deviations : (ndarray, ndarray)
+        See `navfilter.models.fault_bias`.
+    limits : ndarray
+        Of the gate, and the largest squares of the slow error that are still believed.
+    slow : list of float
+        Variance by axis of what its error states begin with.
+    content : ndarray
+        What kernels are told of it, see `navfilter.kernels.batch`.
+    ends : tuple of int
+        Where each part of that ends; first 0.
+    """
+
+    sensor: Sensor
+    Phi: Array
+    variance: Array
+    offset: bool
+    kernels: tuple[int, int, int, int]
+    offsets: Places
+    proportions: tuple[Places, Array]
+    deviations: tuple[Places, Array]
+    limits: Array
+    slow: list[float]
+    content: Array
+    ends: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls,
+        sensor: Sensor,
+        group: Group,
+        variance: Array,
+        equation: tuple[Callable[..., None] | None, Sight | None],
+        constants: Array,
+        gates: Array,
+    ) -> Described:
+        """Work it out.
+
+        Parameters
+        ----------
+        sensor, group, variance
+            As for `is_of`.
+        equation : (callable or None, Sight or None)
+            Its kernel, None where Python has to be asked; what that needs where its place or clock are states.
+        constants, gates : ndarray
+            Of the kernel; limits of the gate.
+        """
+        (kernel, sight), b, period_s = equation, group.ticking, 1.0 / sensor.rate_hz
+        offset, kernels = has_offset(sensor.models), (0, 0, 0, 0)
+        if kernel is not None and not offset:
+            seen = 0 if sight is None else address(delayed_state.sight, addresses.SIGHT)
+            bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
+            kernels = address(kernel, addresses.EQUATION), seen, 0, bent
+        limits = np.concatenate([gates, believed(sensor, group)])
+        slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
+        lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
+        model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
+        facts = np.zeros(0) if sight is None else sight.facts
+        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts
+        return cls(
+            *(sensor, group.Phi, variance, offset, kernels),
+            offset_states(sensor.models, period_s),
+            proportions(sensor.models, period_s),
+            deviations(sensor.models, period_s),
+            limits,
+            slow.diagonal().tolist(),
+            np.concatenate([part.ravel() for part in parts]),
+            (0, *accumulate(part.size for part in parts)),
+        )
+
+    def is_of(self, sensor: Sensor, group: Group, variance: Array) -> bool:
+        """Whether it is that of this sensor, these states, and this white variance of the gyros' rates."""
+        return self.sensor is sensor and self.Phi is group.Phi and bool((self.variance == variance).all())

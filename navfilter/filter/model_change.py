@@ -1,0 +1,236 @@
+"""A change of error models while the filter runs: how the states follow it without a jump."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.state_layout import Group, Layout
+from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, joined_block
+from navfilter.models.learned_arma import LearnedArma, register_block, register_labels
+from navfilter.models.vehicle import Vehicle
+from navfilter.timeseries.model import ArmaModel
+
+__all__ = ["Adoption", "Change", "adoption", "state_change", "transfer"]
+
+Array = NDArray[np.float64]
+Errors = ErrorModel | tuple[ErrorModel, ...]
+
+
+class Change(NamedTuple):
+    """Another error model of one sensor, to be put in force.
+
+    Attributes
+    ----------
+    sensor : str
+        A correcting sensor, or ``gyro`` / ``accel`` (``attitude`` / ``velocity``) of the drive.
+    error : ErrorModel or tuple of ErrorModel
+        One for all axes, or one per axis.
+    offsets : bool
+        It is about the constants of a sensor that has jumped (`navfilter.models.fault_bias`); other changes keep them.
+    afresh : bool
+        The error is begun anew: what is known of it now is forgotten.
+    turn : (float, float) or None
+        By what the heading is to be turned, and the variance of that: against the sensor, see
+        `navfilter.faults.heading_fault` [rad, rad^2].
+    """
+
+    sensor: str
+    error: Errors
+    offsets: bool = False
+    afresh: bool = False
+    turn: tuple[float, float] | None = None
+
+
+class Adoption(NamedTuple):
+    """What it takes to put another error model in force, apart from what the filter knows then.
+
+    Attributes
+    ----------
+    before, after : Vehicle
+        With the models in force.
+    error : ErrorModel or tuple of ErrorModel
+        The new one.
+    layout : Layout
+        Of the states afterwards.
+    M, N : ndarray
+        See `state_change`.
+    """
+
+    before: Vehicle
+    after: Vehicle
+    error: Errors
+    layout: Layout
+    M: Array
+    N: Array
+
+
+def adoption(
+    before: Vehicle,
+    layout: Layout,
+    sensor: str,
+    error: Errors,
+    afresh: bool = False,
+    known: Sequence[Adoption] = (),
+) -> Adoption:
+    """What a change of one model takes where a vehicle is laid out like this: what is `known` of it, or worked out.
+
+    Raises
+    ------
+    ValueError
+        For an unknown sensor, or something that is no error model.
+    """
+    for one in known:
+        if one.error is error and one.before is before and not afresh:
+            return one
+    after = before.with_error(**{sensor: error})
+    new = Layout.of(after, (before, layout))
+    return Adoption(before, after, error, new, *state_change(layout, before, new, after, sensor if afresh else ""))
+
+
+def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle, afresh: str = "") -> tuple[Array, Array]:
+    """How all error states follow when the error models of a vehicle change.
+
+    Parameters
+    ----------
+    before, after : Layout
+        Of the two vehicles.
+    old, new : Vehicle
+        With the same sensors and parameters.
+    afresh : str
+        The sensor whose errors begin anew.
+
+    Returns
+    -------
+    M : ndarray, shape (n_after, n_before)
+    N : ndarray, shape (n_after, n_after)
+        ``e_after = M e_before + w``, ``w ~ N(0, N)``.
+    """
+    M, N = np.zeros((after.size, before.size)), np.zeros((after.size, after.size))
+    M[range(9), range(9)] = 1.0
+    groups: list[tuple[Group, Group, Any, Any, float]]
+    groups = [(before.drive, after.drive, old.drive, new.drive, new.drive.period_s)]
+    for name, sensor in new.sensors.items():
+        groups.append((before.groups[name], after.groups[name], old.sensors[name], sensor, 1.0 / sensor.rate_hz))
+    for was, now, part_before, part_now, period_s in groups:
+        row, column = now.start, was.start
+        if part_before is part_now:
+            M[range(row, row + now.size), range(column, column + now.size)] = 1.0
+            continue
+        for model_before, model in zip(part_before.models, part_now.models, strict=True):
+            part, noise = transfer(model_before, model, period_s)
+            r, c = part.shape
+            M[row : row + r, column : column + c], N[row : row + r, row : row + r] = part, noise
+            row, column = row + r, column + c
+        for i in range(now.size - now.errors):
+            M[row + i, column + i] = 1.0
+    if afresh:
+        group = after.groups[afresh]
+        errors = slice(group.start, group.start + group.errors)
+        M[errors], N[errors, errors] = 0.0, group.P0[: group.errors, : group.errors]
+    return M, N
+
+
+def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, Array]:
+    """How the states of one axis follow a change of its error model: ``x_new = M x_old + w``, ``w ~ N(0, N)``.
+
+    Parts that are equal in both keep their states. A learnt part keeps the values and innovations that both registers
+    hold; what only the new one holds is drawn from its stationary distribution given those (Gaussian conditioning). Its
+    slow parts stay, or share the sum of the old ones. When the old part is no learnt model (a prior), its present error
+    is what both have in common.
+
+    Returns
+    -------
+    M : ndarray, shape (b_new, b_old)
+    N : ndarray, shape (b_new, b_new)
+    """
+    olds = old.parts if isinstance(old, Sum) else (old,)
+    news = new.parts if isinstance(new, Sum) else (new,)
+    sizes_old, sizes_new = [p.block(period_s).size for p in olds], [p.block(period_s).size for p in news]
+    M, N = np.zeros((sum(sizes_new), sum(sizes_old))), np.zeros((sum(sizes_new), sum(sizes_new)))
+    taken: set[int] = set()
+    row = 0
+    for part, size in zip(news, sizes_new, strict=True):
+        rows = slice(row, row + size)
+        row += size
+        match = next((i for i, p in enumerate(olds) if i not in taken and _same_kind(p, part)), None)
+        if match is None:
+            N[rows, rows] = part.block(period_s).P0
+            continue
+        taken.add(match)
+        first = sum(sizes_old[:match])
+        M[rows, first : first + sizes_old[match]], N[rows, rows] = _transfer_part(olds[match], part, period_s)
+    return M, N
+
+
+def _same_kind(old: ErrorModel, new: ErrorModel) -> bool:
+    walks = isinstance(old, RandomWalk) and isinstance(
+        new, RandomWalk
+    )  # the bias that there is wanders otherwise from now on
+    return old == new or walks or isinstance(new, LearnedArma) or isinstance(old, LearnedArma)
+
+
+def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, Array]:
+    before, after = old.block(period_s), new.block(period_s)
+    if old == new:
+        return np.eye(after.size), np.zeros((after.size, after.size))
+    if (
+        isinstance(old, LearnedArma)
+        and isinstance(new, LearnedArma)
+        and old.model is not None
+        and new.model is not None
+    ):
+        fast = _registers(old.model, new.model)
+        slow = _slow_parts(old.slow_parts, new.slow_parts, period_s)
+        return _beside(fast[0], slow[0]), _beside(fast[1], slow[1])
+    if not (before.size and after.size):
+        return np.zeros((after.size, before.size)), after.P0
+    # both have a present error; what of the old one was white is not in its states
+    seen = after.P0 @ after.C
+    G = seen / float(after.C @ seen)
+    N = after.P0 - np.outer(G, seen) + before.r * np.outer(G, G)
+    return np.outer(G, before.C), _positive(N)
+
+
+def _registers(old: ArmaModel, new: ArmaModel) -> tuple[Array, Array]:
+    """Values and innovations that both registers hold stay; what only the new one holds follows from them."""
+    have, size = register_labels(old), register_block(old).size
+    after = register_block(new)
+    both = [(have.index(label), i) for i, label in enumerate(register_labels(new)) if label in have]
+    keep, left = [i for _, i in both], np.eye(size)[[i for i, _ in both]]
+    if not keep:
+        return np.zeros((after.size, size)), after.P0
+    if len(keep) == after.size:
+        return np.eye(after.size)[:, np.argsort(np.argsort(keep))] @ left, np.zeros((after.size, after.size))
+    G = after.P0[:, keep] @ np.linalg.pinv(after.P0[np.ix_(keep, keep)], hermitian=True)
+    return G @ left, _positive(after.P0 - G @ after.P0[keep])
+
+
+def _slow_parts(olds: Sequence[ErrorModel], news: Sequence[ErrorModel], period_s: float) -> tuple[Array, Array]:
+    """Slow parts of the same orders stay; else their sum does, which the new ones share by their variances."""
+    before, after = joined_block([p.block(period_s) for p in olds]), joined_block([p.block(period_s) for p in news])
+    if [p.block(period_s).size for p in olds] == [p.block(period_s).size for p in news]:
+        return np.eye(after.size), np.zeros((after.size, after.size))
+    if not (before.size and after.size):
+        return np.zeros((after.size, before.size)), after.P0
+    seen = after.P0 @ after.C
+    G = seen / float(after.C @ seen)
+    return np.outer(G, before.C), _positive(after.P0 - np.outer(G, seen))
+
+
+def _beside(one: Array, other: Array) -> Array:
+    """A block matrix of two, either of which may be empty."""
+    out = np.zeros((one.shape[0] + other.shape[0], one.shape[1] + other.shape[1]))
+    out[: one.shape[0], : one.shape[1]] = one
+    out[one.shape[0] :, one.shape[1] :] = other
+    return out
+
+
+def _positive(N: Array) -> Array:
+    """The nearest covariance to what rounding has left of one."""
+    values, vectors = np.linalg.eigh(0.5 * (N + N.T))
+    N = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return 0.5 * (N + N.T)

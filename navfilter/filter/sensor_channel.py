@@ -1,0 +1,324 @@
+"""Working memory of one correcting sensor: one array shared with the kernels, and what is remembered from reading to
+reading.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.faults import noise_scale, velocity_fault
+from navfilter.filter.channel_memory import ChannelMemory
+from navfilter.filter.channel_model import Described
+from navfilter.filter.delayed_measurement import Sight
+from navfilter.filter.state_layout import Group, Layout
+from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.kernels import batch, delayed_state, kalman, measurement, open_loop_residual
+from navfilter.models.sensors import Sensor
+from navfilter.models.start import Start
+
+if TYPE_CHECKING:
+    from navfilter.models.vehicle import Vehicle
+
+__all__ = ["Channel", "usable"]
+
+Array = NDArray[np.float64]
+#: More than this share of a reading's components must agree, or it is rejected whole.
+MAJORITY = 0.5
+#: The past is kept for a time offset of up to so many standard deviations.
+CLOCK_SDS = 4.0
+#: A vehicle that has moved by more than so many standard deviations has moved [1].
+STILL_SDS = 3.0
+#: A vehicle has dived if no fix was used for so long [s], and for so many of their periods [1].
+DIVE_S, DIVE_PERIODS = 60.0, 20.0
+
+
+class Channel:
+    """A correcting sensor while the filter runs; `arrange` lays it out, `memory` is all that changes between readings.
+
+    Parameters
+    ----------
+    name : str
+    sensor : Sensor
+    start : Start
+    """
+
+    def __init__(self, name: str, sensor: Sensor, start: Start) -> None:
+        self.name, self._start = name, start
+        self.kernel, self.constants = sensor.kernel, sensor.constants(start)
+        self.period_s = 1.0 / sensor.rate_hz
+        fixes = (
+            sensor.open_loop == open_loop_residual.POSITION and sensor.axes == 3
+        )  # none for longer than this: it has dived [s]
+        self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
+        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
+        self.sight, self.lead_s = Sight(sensor, start) if sensor.place_and_clock() else None, sensor.lead_s
+        self.past_s = (
+            self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + delayed_state.WINDOW_S * any(sensor.lever_arm_sd_m)
+        )
+        # kernels of a user's own are asked by Python: what they raise is to be seen
+        self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
+        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
+        self.held = sensor.held()
+        self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
+        self.samples = 1  # of the drive, of which a reading is the mean
+        self.facts: Array | None = None  # see `scatter.facts`
+        self._described: Described | None = None
+        self._foreseen: Described | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Remember nothing, as at the start."""
+        self._memory = ChannelMemory()
+        self.count, self.stuck, self.stale = 0, False, False
+
+    def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
+        """Lay out its working memory for other states; what is remembered stays. It has to `settle` then.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            With the error model in force.
+        group : Group
+            Its states in `layout`.
+        layout : Layout
+        rate_variance : ndarray, shape (3,)
+            White variance of the gyros as rates [rad^2/s^2].
+        """
+        a, parameters, variance = sensor.axes, group.size - group.errors, rate_variance / self.samples
+        n, m, b = layout.size, layout.head, group.ticking
+        self.sensor, self.group, self.axes, self._turned = sensor, group, a, variance
+        # of the very same sensor and states only the place is another
+        known = (one for one in (self._described, self._foreseen) if one and one.is_of(sensor, group, variance))
+        self._described = own = next(known, None) or self._describe(sensor, group, variance)
+        self.offset, self.limits, self.slow, self.facts = own.offset, own.limits, own.slow, None
+        self._proportions, self.deviations, self.offsets = own.proportions, own.deviations, own.offsets
+        turned = -layout.current_of(self.name)
+        if sensor.deviation is not None:
+            turned = group.start + group.errors + sensor.deviation
+        self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, turned])
+        at = kalman.places(self.dims)
+        self.places, self.record_size, self.size = np.array(at), at[5], at[-1] + own.content.size
+
+    def foresee(self, vehicle: Vehicle, layout: Layout) -> None:
+        """It may have to `arrange` itself for these next: what it takes is worked out beforehand."""
+        drive, g = vehicle.drive, layout.drive
+        variance = drive.rate_variance(g.Q, g.C, g.r) / self.samples
+        self._foreseen = self._describe(vehicle.sensors[self.name], layout.groups[self.name], variance)
+
+    def _describe(self, sensor: Sensor, group: Group, variance: Array) -> Described:
+        kernel, constants = (self.kernel, self.constants) if self.known else (None, np.zeros(0))
+        return Described.of(sensor, group, variance, (kernel, self.sight), constants, self._gates)
+
+    def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
+        """Work from now on in a part of an array that all channels share.
+
+        Parameters
+        ----------
+        bench : ndarray
+            Zero in its part, `size` numbers.
+        begin : int
+            Of its part.
+
+        Returns
+        -------
+        ndarray of int
+            Its row of the plan, see `navfilter.kernels.batch`.
+        """
+        (a, n, m, b, first, errors, parameters, _), own = self.dims.tolist(), self._described
+        assert own is not None
+        at: list[int] = self.places.tolist()
+        ends = [begin + at[-1] + end for end in own.ends]
+        bench[ends[0] : ends[-1]] = own.content
+        self.mem = mem = bench[begin : ends[0]]
+        self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
+        self.H, self.K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
+        self.PH, self.S = mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
+        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - batch.NOTED]
+        self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
+        self.record, self.moved = mem[: at[5]], mem[: at[0]]
+        self.transition = mem[: m * m].reshape(m, m)
+        self.change = mem[at[4] + 1 : at[5]]  # of velocity and tilts: `kalman.turn_velocity`, `kalman.turn_tilts`
+        self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
+        self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
+        self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)
+        # a reading of the past depends on the drive's states, too
+        self.into = self.H[:, 9:m], self.near, self.res, self.R
+        self.gate = bench[ends[7] : ends[8]]
+        self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
+        self._last = mem[at[7] : at[9]]
+        kept = self._memory.last
+        if kept.size == self._last.size:
+            self._last[:] = kept
+        else:
+            self._last[-batch.NOTED : -1] = kept[-batch.NOTED : -1]
+        self._memory.last = self._last
+        starts = begin, ends[0], self.constants.size, *ends[1:9]
+        is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
+        asked = own.kernels if self.known else (0, 0, 0, 0)
+        north = -1 if self.sensor.north is None else self.sensor.north
+        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False
+        self.spot = np.array([*self.dims.tolist(), *asked, *is_so, *starts, *more], dtype=np.int64)
+        return self.spot
+
+    def turns_by(self, rate_variance: Array) -> None:
+        """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
+        variance = rate_variance / self.samples
+        if not np.array_equal(variance, self._turned):
+            self._turned = variance
+            self.lever[:] = self.sensor.lever_arm_covariance(variance)
+            self.white[:] = np.diag(self.group.r) + self.lever
+
+    def variances(self, z: Array, sd: ArrayLike | None) -> Array:
+        """White variances of a reading, where they are not those of the error model: then none."""
+        self.reading = z
+        own = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), self.axes)
+        memory = self._memory
+        if memory.aside is None and memory.scatter is None:
+            return own
+        own = own if own.size else self.group.r
+        own = own if memory.aside is None else velocity_fault.variances(memory.aside, z, own)
+        return own if memory.scatter is None else noise_scale.variances(memory.scatter, own)
+
+    def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
+        """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
+        self.into[0][:] = outputs[:3]
+        return z - errors[:3]
+
+    @property
+    def memory(self) -> ChannelMemory:
+        """What it remembers; its arrays are views of the working memory."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: ChannelMemory) -> None:
+        if memory.scatter is not None and not memory.scatter.is_of(self.axes):
+            raise ValueError(f"what is kept of the noise of {self.name} is not laid out as this vehicle's.")
+        self._last[:] = memory.last
+        memory.last = self._last
+        self._memory = memory
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Of the last reading and the last tick [s]."""
+        return self._memory.last_s, self._memory.ticked_s
+
+    @times.setter
+    def times(self, times: tuple[float, float]) -> None:
+        self._memory.last_s, self._memory.ticked_s = times
+
+    @property
+    def doubted(self) -> bool:
+        """Whether its next reading is Python's to judge, live."""
+        return self.contested or self.scatters or self._memory.refused is not None
+
+    @property
+    def contested(self) -> bool:
+        """Whether more is doubted of it than its last readings, and by how much it scatters."""
+        memory, kept = self._memory, self._memory.scatter
+        since = bool(memory.alone) or memory.partly_since_s > -math.inf or memory.astray
+        return since or self.offset or (kept is not None and kept.worthless)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether it seems to scatter by more than its error model says: each of its readings is heard."""
+        return self._memory.scatter is not None and self._memory.scatter.watched
+
+    def has_dived(self, time_s: float) -> bool:
+        """Whether no fix has been used for so long that the vehicle has dived."""
+        return self.dive_s < time_s - self._memory.used_s < math.inf
+
+    def use(self, time_s: float) -> None:
+        """Note that its last reading, of this time, has been used, whole or in part."""
+        memory, partly_since_s = self._memory, self._memory.partly_since_s
+        memory.use(time_s)
+        if self.partly_for_s == math.inf:
+            return
+        if self.verdict[1] < np.count_nonzero(np.isfinite(self.note[3 : 3 + self.axes])):
+            memory.partly_since_s = time_s if math.isnan(partly_since_s) else partly_since_s
+
+    @property
+    def aside(self) -> bool:
+        """Whether it has jumped by about the velocity itself, see `navfilter.faults.velocity_fault`."""
+        return self._memory.aside is not None
+
+    @property
+    def condition(self) -> str:
+        """What has been found of its errors; empty for nothing."""
+        memory = self._memory
+        return "astray" if memory.astray else "jumped" if self.offset else ""
+
+    def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
+        """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on
+        since, by more than its noise and the velocity's could hide. Then the receiver is stuck, or it is no new fix.
+        """
+        memory = self._memory
+        if self.sensor.corrects != "position" or self.axes < 2:
+            return False
+        if memory.again_s != memory.last_s:
+            memory.same_s = memory.last_s
+        memory.again_s = time_s
+        slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
+        return slow * (time_s - memory.same_s) > STILL_SDS * math.sqrt(max(self.white[0, 0], self.white[1, 1]))
+
+    def in_proportion(self, z: Array, nav: Array, x: Array) -> None:
+        """Let the errors in proportion to the speed, and those that go with the heading, be those of a reading as
+        predicted.
+        """
+        (axis, state), at_m_s = self._proportions
+        if len(axis):
+            self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
+            self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
+        state, of_rad = self.deviations
+        if len(state):
+            # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
+            self.C[self.sensor.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
+
+    def jumped_by(self, x: Array) -> Array:
+        """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""
+        states = self.offsets
+        return np.asarray(self.C[:, states] @ x[self.group.start - 9 + states])
+
+    def unwrap(self, x: Array) -> None:
+        """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
+        if self.sensor.north is not None:
+            error = self.C @ x[self.group.start - 9 :][: self.group.errors]
+            own = self.res - error
+            self.wrap(own)
+            self.res[:] = own + error
+
+    def wrap(self, residual: Array) -> None:
+        """Bring the difference of two headings within half a turn, in place."""
+        north = self.sensor.north
+        if north is not None:
+            residual[north] = (residual[north] + np.pi) % (2.0 * np.pi) - np.pi
+
+    def ticks(self, time_s: float) -> int:
+        """Periods of the sensor since it was last heard; 0 at the first reading."""
+        memory = self._memory
+        elapsed, memory.ticked_s = time_s - memory.ticked_s, time_s
+        self.count = 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
+        return self.count
+
+
+@cache
+def _limits(probability: float, axes: int, single: bool) -> tuple[float, ...]:
+    """Chi-square limits of the gate for 1, 2, ... axes; first the share that must remain, see ``kalman.update``."""
+    return (MAJORITY if single else math.inf, *chi_square_limit(probability, np.arange(1, axes + 1)).tolist())
+
+
+def usable(sd: ArrayLike, sensor: Sensor) -> bool:
+    """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be
+    finite.
+    """
+    try:
+        values = np.asarray(sd, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    sizes = 1, sensor.axes, sensor.axes // sensor.tracks
+    return values.size in sizes and bool(np.all((values >= 0.0) & (values < 1e100)))

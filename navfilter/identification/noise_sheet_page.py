@@ -1,0 +1,161 @@
+"""The page of a noise sheet: tables, Allan deviations with error bars, spectra, and what of the record is at rest."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from navfilter.identification.noise_sheet import AxisSheet, NoiseSheet
+from navfilter.identification.noise_sheet_text import allan_rows, as_dict, drive_toml, groups, rows
+from navfilter.identification.report import write_page
+from navfilter.io.inertial import ImuRecord
+from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
+from navfilter.rendering.page import escape, heading_html, list_html, table_html
+
+__all__ = ["write_sheet"]
+
+Array = NDArray[np.float64]
+
+_MARKS = ("o", "s", "^")
+#: Two-sided density to the units in which gyros and accelerometers are drawn.
+_GYRO, _ACCEL = 3600.0 * 180.0 / math.pi, 1e6 / 9.80665
+
+
+def write_sheet(
+    sheet: NoiseSheet, record: ImuRecord, folder: Path, progress: Callable[[], Any] | None = None
+) -> list[Path]:
+    """Write identify.json, drive.toml, the figures and identify.html.
+
+    Parameters
+    ----------
+    sheet : NoiseSheet
+    record : ImuRecord
+        That it was made from.
+    folder : Path
+        Must exist; files of the same name are replaced.
+    progress : callable, optional
+        Called after each figure.
+    """
+    body = [f"<p><b>{escape(sheet.verdict)}</b></p>"]
+    for axes in groups(sheet):
+        header = ["", *(axis.name.replace("_", " ") for axis in axes)]
+        body.append(table_html(header, [*rows(axes), *allan_rows(axes)]))
+    body += [
+        heading_html("vehicle.toml"),
+        f'<div class="wide"><pre>{escape(drive_toml(sheet))}</pre></div>',
+        list_html(sheet.remarks),
+    ]
+    texts = {"identify.json": json.dumps(as_dict(sheet), indent=1) + "\n", "drive.toml": drive_toml(sheet)}
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    with style():
+        subtitle = f"inertial unit, {sheet.rate_hz:.6g} Hz, {sheet.duration_s:.0f} s"
+        figures = write_page(
+            folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record), progress
+        )
+    return [*(folder / name for name in texts), *figures]
+
+
+def _figures(sheet: NoiseSheet, record: ImuRecord) -> Iterator[tuple[str, str, str, Figure]]:
+    for axes in groups(sheet):
+        stem, name = ("gyro", "gyros") if axes[0].is_gyro else ("accel", "accelerometers")
+        caption = (
+            "Overlapping Allan deviation with error bars of one standard deviation (equivalent degrees of freedom of "
+            "the fitted noise), and the terms of the sheet as a line."
+        )
+        yield f"allan_{stem}", f"Allan deviation of the {name}", caption, _allan_figure(axes)
+        caption = (
+            "Root spectral density in bands of the cosine transform (two-sided, as density in vehicle.toml; lines left "
+            "out), the terms of the sheet as a line, those of the drive dashed. Each axis is drawn three times "
+            "lower than the one before."
+        )
+        yield f"spectrum_{stem}", f"Spectrum of the {name}", caption, _spectrum_figure(axes, 1.0 / sheet.rate_hz)
+    caption = "The record as means over a second, less its median. What is shaded is at rest and was used."
+    yield "record", "Record", caption, _record_figure(sheet, record)
+
+
+def _scale(axes: Sequence[AxisSheet]) -> tuple[float, str]:
+    return (_GYRO, "deg/h") if axes[0].is_gyro else (_ACCEL, "ug")
+
+
+def _allan_figure(axes: Sequence[AxisSheet]) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
+    ax = figure.subplots()
+    factor, unit = _scale(axes)
+    for k, axis in enumerate(axes):
+        curve, colour = axis.allan, COLOURS[(1, 5, 2)[k]]
+        bars = factor * np.array([curve.deviation - curve.low, curve.high - curve.deviation])
+        ax.errorbar(
+            curve.tau_s, factor * curve.deviation, bars, fmt=_MARKS[k], markersize=3.0, linewidth=0.8, color=colour,
+            label=axis.name.replace("_", " "),
+        )  # fmt: skip
+        ax.plot(curve.tau_s, factor * curve.model, color=colour, linewidth=1.0)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel("averaging time [s]")
+    ax.set_ylabel(f"Allan deviation [{unit}]")
+    ax.legend()
+    return figure
+
+
+def _spectrum_figure(axes: Sequence[AxisSheet], period_s: float) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+    ax = figure.subplots()
+    factor, unit = _scale(axes)
+    for k, axis in enumerate(axes):
+        size, colour, bands = factor / 3.0**k, COLOURS[(1, 5, 2)[k]], axis.bands
+        middle = np.sqrt(bands.low * bands.high)
+        order = np.argsort(middle)
+        label = axis.name.replace("_", " ") + ("" if k == 0 else f" / {3**k}")
+        ax.plot(middle[order], size * np.sqrt(bands.power[order]), _MARKS[k], markersize=3.0, color=colour, label=label)
+        _curve(ax, axis, middle, size, period_s, colour)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel("frequency [Hz]")
+    ax.set_ylabel(f"root density [{unit}/sqrt(Hz)]")
+    ax.legend()
+    return figure
+
+
+def _curve(ax: Axes, axis: AxisSheet, middle: Array, size: float, period_s: float, colour: str) -> None:
+    grid = np.geomspace(middle.min(), axis.sheet.highest_hz, 300)
+    ax.plot(grid, size * np.sqrt(axis.sheet.density(grid, period_s)), color=colour, linewidth=1.0)
+    ax.plot(grid, size * np.sqrt(axis.drive.density(grid, period_s)), "--", color=colour, linewidth=0.8)
+
+
+def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
+    both = groups(sheet)
+    figure = Figure(figsize=(WIDTH_IN, 1.8 * len(both) + 0.6), layout="constrained")
+    panels = figure.subplots(len(both), 1, sharex=True, squeeze=False)[:, 0]
+    length = max(round(record.rate_hz), 1)
+    blocks = len(record.value) // length
+    time = (np.arange(blocks) + 0.5) * length / record.rate_hz
+    for ax, axes in zip(panels, both, strict=True):
+        factor, unit = _scale(axes)
+        for k, axis in enumerate(axes):
+            x = record.value[: blocks * length, record.names.index(axis.name)].reshape(blocks, length)
+            known = np.isfinite(x)
+            mean = np.where(known, x, 0.0).sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
+            shown = np.asarray(factor * (mean - np.nanmedian(mean)), dtype=np.float64)
+            line(
+                ax,
+                np.asarray(time, dtype=np.float64),
+                shown,
+                color=COLOURS[(1, 5, 2)[k]],
+                linewidth=0.7,
+                label=axis.name.replace("_", " "),
+            )
+        for begin, end in sheet.stretches_s:
+            ax.axvspan(begin, end, color="#999999", alpha=0.2, linewidth=0.0)
+        ax.set_ylabel(f"{axes[0].name.split('_')[0]} [{unit}]")
+        ax.legend(ncols=3)
+    panels[-1].set_xlabel("time [s]")
+    return figure

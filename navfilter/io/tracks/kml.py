@@ -1,0 +1,67 @@
+"""track.kml for Google Earth: a ``gx:Track`` with times and sd; without UTC a line without times.
+
+Heights are those of the track, above the ellipsoid where fixes gave them; KML means them above the sea.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from navfilter.foundation import utc
+from navfilter.io.tracks.atomic_files import pieces, replacing
+from navfilter.io.tracks.geojson import degrees_east
+from navfilter.models.mission import Mission
+from navfilter.track.track import Track
+
+__all__ = ["write", "xml_text"]
+
+_HEAD = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2">
+<Document><name>{mission}</name>
+<Style id="track"><LineStyle><color>ffb27200</color><width>3</width></LineStyle></Style>
+<Schema id="sd"><gx:SimpleArrayField name="sd_horizontal_m" type="float"/></Schema>
+<Placemark><name>{label}</name><description>{about}</description><styleUrl>#track</styleUrl>
+"""
+_TAIL = "</Placemark></Document></kml>\n"
+
+
+def write(track: Track, path: Path, mission: Mission | None = None) -> None:
+    """The track."""
+    about = f"{track.vehicle.name}, {track.distance_m:.0f} m"
+    with replacing(path) as file:
+        file.write(
+            _HEAD.format(mission=xml_text(track.mission_name), label=xml_text(track.label), about=xml_text(about))
+        )
+        if track.epoch_utc_s is None:
+            file.write("<LineString><altitudeMode>absolute</altitudeMode><coordinates>\n")
+            file.writelines(f"{','.join(place)}\n" for place in _places(track))
+            file.write("</coordinates></LineString>\n")
+        else:
+            file.write("<gx:Track><altitudeMode>absolute</altitudeMode>\n")
+            for rows in pieces(len(track)):
+                times = utc.text(track.time_s[rows], track.epoch_utc_s, "ms")
+                file.writelines(f"<when>{time}</when>\n" for time in times)
+            file.writelines(f"<gx:coord>{' '.join(place)}</gx:coord>\n" for place in _places(track))
+            file.write('<ExtendedData><SchemaData schemaUrl="#sd"><gx:SimpleArrayData name="sd_horizontal_m">\n')
+            sd = np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
+            file.writelines(f"<gx:value>{value:.3f}</gx:value>\n" for value in sd)
+            file.write("</gx:SimpleArrayData></SchemaData></ExtendedData></gx:Track>\n")
+        file.write(_TAIL)
+
+
+def _places(track: Track) -> Iterator[tuple[str, str, str]]:
+    """Longitude, latitude [deg], height [m] of each row, as text."""
+    for rows in pieces(len(track)):
+        longitude, latitude = degrees_east(track.longitude[rows]), np.degrees(track.latitude[rows])
+        for east, north, up in zip(longitude, latitude, track.height[rows], strict=True):
+            yield f"{east:.9f}", f"{north:.9f}", f"{up:.3f}"
+
+
+def xml_text(text: str) -> str:
+    """Text as it may stand in XML, which has no control characters."""
+    return escape("".join(c for c in text if c.isprintable()))

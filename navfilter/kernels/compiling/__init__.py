@@ -1,0 +1,1 @@
+"""How kernels are compiled: decorators, SIMD registers, function pointers, progress, type cache."""

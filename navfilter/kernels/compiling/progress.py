@@ -1,0 +1,114 @@
+"""What is being compiled, shown while it is: the first use of the kernels takes a while, and something moves."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba.core import event
+
+__all__ = ["announce_each", "count_announced", "is_compiled", "kernel_count", "show_compilation"]
+
+#: Elsewhere than on a terminal one line is written in so many seconds [s].
+_EVERY_S = 10.0
+_WIDTH = 79
+_KERNELS = "navfilter.kernels."
+
+
+class _Shown(event.Listener):
+    """Writes which kernel is being compiled, how many are done and how long it has taken, to standard error."""
+
+    def __init__(self) -> None:
+        self.depth, self.done, self.most, self.began, self.said_s = 0, 0, 0, 0.0, 0.0
+
+    def on_start(self, found: event.Event) -> None:
+        if not self.done and not self.depth:
+            self.began = self.said_s = time.monotonic()
+        self.depth += 1
+        function = found.data["dispatcher"].py_func
+        now = time.monotonic()
+        if function.__module__.startswith("navfilter.") and (sys.stderr.isatty() or now - self.said_s >= _EVERY_S):
+            self.said_s = now
+            name = f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
+            self._say(f"compiling, once: {self.progress()} done in {now - self.began:.0f} s, now {name} ...")
+
+    def on_end(self, found: event.Event) -> None:
+        self.depth -= 1
+        self.done += found.data["dispatcher"].py_func.__module__.startswith("navfilter.")
+        if not self.depth and sys.stderr.isatty():
+            self._say(f"compiling, once: {self.progress()} done in {time.monotonic() - self.began:.0f} s", end="\r")
+
+    def progress(self) -> str:
+        return f"{self.done} of at most {self.most} kernels" if self.most >= self.done else f"{self.done} kernels"
+
+    def _say(self, text: str, end: str | None = None) -> None:
+        terminal = sys.stderr.isatty()
+        text = text[:_WIDTH].ljust(_WIDTH) if terminal else text
+        print(text, end=end or ("\r" if terminal else "\n"), file=sys.stderr, flush=True)
+
+
+class _Told(event.Listener):
+    """Tells whoever started this process of each kernel that is compiled: a line each on standard output."""
+
+    def on_start(self, found: event.Event) -> None:
+        pass
+
+    def on_end(self, found: event.Event) -> None:
+        if found.data["dispatcher"].py_func.__module__.startswith(_KERNELS):
+            print("kernel", flush=True)
+
+
+@cache
+def show_compilation() -> _Shown:
+    """Show on standard error, from now on, whatever numba has to compile; what is cached is not compiled.
+
+    On a terminal one line says which kernel it is, and how many are done; elsewhere a line is written every ten
+    seconds.
+    """
+    shown = _Shown()
+    event.register("numba:compile", shown)
+    return shown
+
+
+def announce_each() -> None:
+    """Write a line on standard output for each kernel that this process compiles: what `count_announced` reads."""
+    event.register("numba:compile", _Told())
+
+
+def count_announced(lines: Iterable[str], most: int) -> None:
+    """Count what another process compiles with what is compiled here, and say what all may compile at most."""
+    shown = show_compilation() if show_compilation.cache_info().currsize else _Shown()  # else nobody looks
+    shown.most = most
+    for _ in lines:
+        shown.done += 1
+
+
+def is_compiled(*files: str) -> bool:
+    """Whether numba has kept kernels of each of these files of `navfilter.kernels` since it was last changed."""
+    from numba import config
+
+    settings: Any = config
+    sources = [Path(__file__).parents[1] / f"{name}.py" for name in files]
+    if settings.DISABLE_JIT:
+        return True
+    elsewhere = settings.CACHE_DIR
+    folders = [Path(elsewhere)] if elsewhere else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
+    tag = f".py{sys.version_info.major}{sys.version_info.minor}."
+    kept = [index for folder in folders if folder.is_dir() for index in folder.rglob("*.nbi") if tag in index.name]
+    return all(
+        any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources
+    )
+
+
+def kernel_count(*files: str) -> int:
+    """How many kernels these files of `navfilter.kernels` hold, those left out that are compiled within others."""
+    import importlib
+
+    modules = [importlib.import_module(_KERNELS + name) for name in files]
+    functions = [function for module in modules for function in vars(module).values()]
+    options = [function.targetoptions for function in functions if hasattr(function, "targetoptions")]
+    return sum(option.get("inline") != "always" for option in options)

@@ -1,0 +1,271 @@
+"""Kernels that take the filter's own feedback off again, so that a sensor's error can be learnt from its readings.
+
+``undone`` holds the sum of what corrections fed back, carried along as an open loop would have carried it, but frozen
+at the time of the correction into chains of plain integrators: heading by the drive's states; position and velocity in
+n by the acceleration in n; velocity in b by the acceleration in b. An open loop would read higher residuals by H times
+that sum. What is left beside it is the error of the closed loop, which is small, so that Coriolis force, turns and a
+pitching accelerometer bias act on that small error only, not on the sum.
+
+A force that is found wrong while the vehicle pitches or rolls was wrong in another direction before: there the drift is
+no chain of integrators. How much of the downward force fed back came by that is summed up, and noted beside the
+residuals.
+
+A residual is that of the sensor's constants (scale, lever arm, clock ...) as they are estimated at the time. Where some
+are states, their estimates and the slopes of the reading by them are noted, too, so that residuals can be those of
+better estimates later.
+
+Places in ``undone`` (2m + 2 elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to
+m, then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space; then that sum,
+and last how well fixes were predicted that nothing is learnt from.
+"""
+
+import math
+
+from navfilter.kernels.compiling.decorators import apart, njit, shaped
+
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
+NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
+# An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
+# its ring, ticks by which there is something to do; whether it is watched for a change of its error, by which share a
+# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged, what it usually is; elements of
+# `mount`.
+KIND, NOTED, CAPACITY, DUE, WATCHED, SHARE, NIS, JUDGED, USUAL, MOUNT = range(10)
+# First in a `mount`, before the rows that turn the body's axes to the instrument's: a velocity below which nothing is
+# learnt [m/s], how long a reading waits [s], which of the sensor's parameters is its clock (-1: none), rows of the
+# ring; whether it is asked how well its readings are predicted.
+STILL, LEAD_S, CLOCK, ROWS, ASKED, AXES = range(6)
+EAR = MOUNT + AXES + 9
+# A change is noticed when the mean NIS has left these limits, in units of what it usually is [1]: it is the one-step
+# likelihood of the model in force, and a variance wrong by two is more than what a posterior leaves open. A single
+# reading counts up to the last number: a spike is no change.
+CALM_LEAST, CALM_MOST, NIS_MOST = 0.4, 2.0, 25.0
+# A matrix is diagonal when what stands beside its diagonal is less than this, squared, of what stands there [1].
+EVEN = 1e-24
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def attend(ear, nis, dof, ticks, learning):
+    """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error seems
+    to have changed, or enough ticks have been noted.
+    """
+    ear[NOTED] += 1.0 + min(max(ticks - 1.0, 0.0), ear[CAPACITY])
+    if not learning:
+        return False
+    if ear[WATCHED] != 0.0 and dof > 0.0 and math.isfinite(nis):
+        ear[NIS] += ear[SHARE] * (min(nis / dof, NIS_MOST) - ear[NIS])
+        if ear[NOTED] >= ear[JUDGED] and not CALM_LEAST * ear[USUAL] < ear[NIS] < CALM_MOST * ear[USUAL]:
+            return True
+    return ear[NOTED] >= ear[DUE]
+
+
+@njit(cache=True, **UNCOUNTED)
+def is_within(x, P, at, mean, variance, limit):
+    """Whether states (k,), in standard deviations of what was believed of them, have moved by less in their squares
+    than so many times what has been learnt of them.
+    """
+    moved = told = 0.0
+    for k in range(at.size):
+        moved += (x[at[k] - 9] - mean[k]) ** 2 / variance[k]
+        told += max(0.0, 1.0 - P[at[k], at[k]] / variance[k])
+    return moved < limit * told
+
+
+@njit(cache=True, **UNCOUNTED)
+def _turned(one, other, cosine, sine):
+    """Two numbers, turned in their plane."""
+    return cosine * one - sine * other, sine * one + cosine * other
+
+
+@apart
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def told_since(x, P, at, estimate, covariance, least, now, lost):
+    """What constants have been told since their estimate (k,) and covariance (k, k) were such: the squares of their
+    changes over the variance that each should have, and how many there are. That is along the eigenvectors of what the
+    covariance has lost, in units of the sd before; one that has lost less than `least` does not count.
+
+    now (k + 1, k): receives the estimate and, below, the covariance. lost (k + 1, k): work space.
+    """
+    k = at.size
+    change, left = lost[0], lost[1:]
+    for i in range(k):
+        sd = math.sqrt(max(covariance[i, i], 1e-300))
+        now[0, i] = x[at[i] - 9]
+        change[i] = (now[0, i] - estimate[i]) / sd
+        for j in range(k):
+            now[1 + i, j] = P[at[i], at[j]]
+            left[i, j] = (covariance[i, j] - now[1 + i, j]) / sd / math.sqrt(max(covariance[j, j], 1e-300))
+    # Jacobi: plane by plane the matrix is turned until it is diagonal, and the change with it
+    beside = 1.0
+    while beside > EVEN:
+        beside = whole = 0.0
+        for p in range(k):
+            whole += left[p, p] * left[p, p]
+            for q in range(p + 1, k):
+                if left[p, q] == 0.0:
+                    continue
+                beside += left[p, q] * left[p, q]
+                off = 0.5 * (left[q, q] - left[p, p]) / left[p, q]
+                tangent = (1.0 if off >= 0.0 else -1.0) / (abs(off) + math.sqrt(off * off + 1.0))
+                cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
+                sine = tangent * cosine
+                for i in range(k):
+                    left[i, p], left[i, q] = _turned(left[i, p], left[i, q], cosine, sine)
+                for i in range(k):
+                    left[p, i], left[q, i] = _turned(left[p, i], left[q, i], cosine, sine)
+                change[p], change[q] = _turned(change[p], change[q], cosine, sine)
+        beside /= max(whole, 1e-300)
+    length, count = 0.0, 0
+    for i in range(k):
+        if left[i, i] > least:
+            length += change[i] * change[i] / left[i, i]
+            count += 1
+    return length, count
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def carry(undone, Phi):
+    """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn
+    the heading.
+    """
+    m = Phi.shape[0]
+    dt = Phi[0, 3]
+    for i in range(3):
+        undone[i] += dt * (undone[3 + i] + 0.5 * dt * undone[m + 3 + i])
+        undone[3 + i] += dt * undone[m + 3 + i]
+        undone[m + i] += dt * undone[m + 6 + i]
+    for j in range(9, m):
+        undone[8] += Phi[8, j] * undone[j]
+    for i in range(9, m):
+        s = 0.0
+        for j in range(9, m):
+            s += Phi[i, j] * undone[j]
+        undone[m + i] = s
+    for i in range(9, m):
+        undone[i] = undone[m + i]
+
+
+@njit(cache=True, **UNCOUNTED)
+def _in_body(mem, nav, K, res, a, used, axis):
+    """A component of the velocity in b, as it was before the correction."""
+    v = 0.0
+    for i in range(3):
+        back = 0.0
+        if used:
+            for r in range(a):
+                back += mem[K + (3 + i) * a + r] * mem[res + r]
+        v += nav[6 + 3 * i + axis] * (nav[3 + i] - back)
+    return v
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
+    """After a reading: carry `undone` to it, note its open-loop residual in `ring` (kind != 0), then add what it fed
+    back.
+
+    mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output
+    rows and means. mount: see `STILL`, then body to instrument, row by row. ring: (a + 1, capacity), the last row for
+    the force that came by pitch and roll [m/s^2]; where constants are noted, as many rows of their estimates follow,
+    and of the slopes of each axis by them. cursor: (1,) ticks written so far; `ticks` of the sensor's clock have passed
+    since the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output
+    rows, forces last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no
+    integral.
+
+    A velocity that stands still is noted as missing. A reading that waits tells the state of `LEAD_S` and of its
+    clock's offset earlier, and so does what is put in again.
+    """
+    a, m, start, errors, par = dims[0], dims[2], dims[4], dims[5], dims[6]
+    K, res, verdict = places[1], places[3], places[8]
+    carry(undone, shaped(mem[: m * m], m, m))
+    used = mem[verdict + 2] != 0.0
+    if mount[ASKED] != 0.0:
+        for i in range(a):
+            variance = mem[verdict + 3 + a + i]
+            if variance > 0.0:
+                # as likely as a normal variate; of one that is far off only so much counts
+                off = mem[verdict + 3 + i] ** 2 / variance
+                undone[2 * m + 1] -= 0.5 * (min(off, NIS_MOST) + math.log(variance))
+    if kind != NOTHING:
+        capacity = ring.shape[1]
+        at = cursor[0]
+        for _ in range(min(ticks - 1, capacity)):
+            for i in range(ring.shape[0]):
+                ring[i, at % capacity] = math.nan
+            at += 1
+        near, late_s, read = places[7], mount[LEAD_S], 0.0
+        if ring.shape[0] > a + 1:
+            for p in range(par):
+                now = x[start - 9 + errors + p]
+                if used:
+                    for r in range(a):
+                        now -= mem[K + (start + errors + p) * a + r] * mem[res + r]
+                ring[a + 1 + p, at % capacity] = now
+                if p == mount[CLOCK]:
+                    late_s += now
+                for i in range(a):
+                    ring[a + 1 + (1 + i) * par + p, at % capacity] = mem[near + i * (9 + par) + 9 + p]
+        width = (places[8] - places[7]) // a
+        for i in range(a):
+            # the residual as it was before the sensor's own coloured error was taken off; also of a reading that the
+            # gate rejected, or what is believed of the sensor would choose what is learnt of it
+            y = mem[verdict + 3 + i]
+            for j in range(errors):
+                back = 0.0
+                if used:
+                    for r in range(a):
+                        back += mem[K + (start + j) * a + r] * mem[res + r]
+                y += C[i, j] * (x[start - 9 + j] - back)
+            if kind == HEADING:
+                y += undone[8]
+            elif kind == POSITION:
+                for j in range(3):
+                    gone = late_s * (undone[3 + j] - 0.5 * late_s * undone[m + 3 + j])
+                    y += mem[near + i * width + j] * (undone[j] - gone)
+            else:
+                z = y
+                for j in range(3):
+                    by = mount[AXES + 3 * i + j]
+                    y += by * (undone[m + j] - late_s * undone[m + 6 + j])
+                    if mount[STILL] > 0.0:
+                        z += by * _in_body(mem, nav, K, res, a, used, j)
+                read += z * z
+            ring[i, at % capacity] = y
+        if kind == VELOCITY and read < mount[STILL] * mount[STILL]:
+            for i in range(a):
+                ring[i, at % capacity] = math.nan
+        ring[a, at % capacity] = undone[2 * m]
+        cursor[0] = at + 1
+    if not used:
+        return
+    d = mem[places[9] : places[9] + m]
+    for i in range(m):
+        d[i] = 0.0
+        for r in range(a):
+            d[i] += mem[K + i * a + r] * mem[res + r]
+        if i < 3 or i >= 8 or (i < 6 and gravity > 0.0):
+            undone[i] += d[i]
+    u, v, w = nav[3], nav[4], nav[5]
+    e, f, g = d[3] + v * d[8] - w * d[7], d[4] + w * d[6] - u * d[8], d[5] + u * d[7] - v * d[6]
+    # tilt acts in n; in b it turns with the heading alone: pitch and roll come and go, what was fed back stays
+    north, east = -gravity * d[7], gravity * d[6]
+    level = math.sqrt(nav[6] ** 2 + nav[9] ** 2)
+    c, s = (nav[6] / level, nav[9] / level) if level > 0.0 else (1.0, 0.0)
+    n, b = m + 3, m + 6
+    undone[n] += north
+    undone[n + 1] += east
+    undone[b] += c * north + s * east
+    undone[b + 1] += c * east - s * north
+    for j in range(3):
+        undone[m + j] += nav[6 + j] * e + nav[9 + j] * f + nav[12 + j] * g
+        if gravity > 0.0:
+            force = 0.0
+            for i in range(9, m):
+                force -= Cr[3 + j, i - 9] * d[i]
+            undone[b + j] += force
+            undone[2 * m] += (nav[12 + j] - (1.0 if j == 2 else 0.0)) * force
+            for i in range(3):
+                undone[n + i] += nav[6 + 3 * i + j] * force

@@ -1,0 +1,173 @@
+"""One channel of a correcting sensor: a slow navigation error with known noise, and the sensor's ARMA error.
+
+``y[k] = d1[k] + n[k] + v[k]``. The drift d1 is the first of a chain of integrators whose noise is known from the
+instruments that drive the filter; it starts diffuse. n is the ARMA error to learn, v known white noise. Reading minus
+prediction would hide the low frequencies of n, because the prediction follows them; here both compete in one
+likelihood, and how well they can be told apart is in the covariance (Harvey 1989, chapter 3).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.learning.initial_values import cold_starts, grown_starts, padded_start, padded_starts
+from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.settings import EFFORT
+from navfilter.learning.zero_frequency import log_s0_spread
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.window_limits import CLIP
+from navfilter.timeseries.diagnostics import whiteness
+from navfilter.timeseries.initial_values import tidy_series
+from navfilter.timeseries.model import ArmaModel
+from navfilter.timeseries.order_criterion import Choice
+from navfilter.timeseries.roots import is_stable
+
+__all__ = ["ChannelFit", "fit_channel"]
+
+Array = NDArray[np.float64]
+
+#: What a channel's fit is judged by: as in `ArmaBank`.
+CHANNEL_CHOICE = Choice()
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelFit:
+    """An ARMA error fitted by the channel likelihood.
+
+    Attributes
+    ----------
+    model : ArmaModel
+        With the covariance of ``[ar, ma]`` and `sd_log_s0` from the joint information, ln sd included.
+    loglik : float
+        Log-likelihood, the diffuse start integrated out.
+    bic : float
+        ``-2 loglik + (p + q + 1) ln n``.
+    innovations : ndarray, shape (N,)
+        Standardised; NaN where a sample is missing or belongs to a diffuse start.
+    n : int
+        Innovations that count.
+    """
+
+    model: ArmaModel
+    loglik: float
+    bic: float
+    innovations: Array
+    n: int
+
+    @cached_property
+    def is_white(self) -> bool:
+        """Whether the innovations are white: Ljung-Box and cumulative periodogram together at 1 %."""
+        return _is_white(self.innovations, self.model.p + self.model.q)
+
+
+def fit_channel(
+    series: ArrayLike,
+    drift: Drift,
+    p: int,
+    q: int,
+    *,
+    white: float = 0.0,
+    start: ArmaModel | None = None,
+    passes: int = 30,
+) -> ChannelFit:
+    """Fit an ARMA(p, q) error beside a drift of known noise, by Fisher scoring of the exact likelihood.
+
+    Parameters
+    ----------
+    series : array_like, shape (N,)
+        Samples on a uniform grid; NaN is a missing one.
+    drift : Drift
+        The slow error and the period.
+    p, q : int
+        Orders.
+    white : float
+        Variance of known white noise in the series beside the ARMA error.
+    start : ArmaModel, optional
+        Where to begin (of the same or a lower order); default: several starts, the best of which is followed.
+    passes : int
+        Most scoring passes.
+
+    Returns
+    -------
+    ChannelFit
+
+    Raises
+    ------
+    ValueError
+        For a series with infinite, too few or constant samples, and for bad orders or variances.
+
+    Examples
+    --------
+    >>> import navfilter as nf
+    >>> noise = nf.simulate_arma([-0.95], [], 0.2, 3000, seed=1)
+    >>> fit = fit_channel(noise + 0.001 * np.arange(3000), Drift((0.0, 0.0), 0.125), 1, 0)
+    >>> fit.model.ar.round(2), round(fit.model.sd, 2)
+    (array([-0.95]), 0.2)
+    """
+    if min(p, q) < 0 or int(p) != p or int(q) != q:
+        raise ValueError(f"orders must be whole numbers, at least 0, found ({p}, {q}).")
+    if not (math.isfinite(white) and white >= 0.0):
+        raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
+    y = tidy_series(series, 10 + 3 * (p + q) + drift.order, "fit_channel", gaps=True)
+    likelihood = Likelihood(y, drift, white)
+    if start is None:
+        starts = cold_starts(likelihood, p, q)
+        if p >= 2 and q >= 1:
+            # A slow part that a lower order leaves out is found by adding one to its estimate, and hardly otherwise.
+            below = min(p - 1, q), q - 1
+            simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], EFFORT.below_passes)
+            starts += [
+                *padded_starts(likelihood, {below: simple}, p, q),
+                *grown_starts(likelihood, {below: simple}, p, q),
+            ]
+    elif start.p > p or start.q > q:
+        raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
+    else:
+        starts = [padded_start(theta_of(start, likelihood), start.p, p, q)]
+    point = maximise(likelihood, starts, p, passes)
+    return channel_fit(likelihood, point)
+
+
+def theta_of(model: ArmaModel, likelihood: Likelihood) -> Array:
+    """``[ar, ma, ln sd]`` of a model in the units of a likelihood."""
+    return np.r_[model.ar, model.ma, math.log(max(model.sd * likelihood.unit, 1e-300))]
+
+
+def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
+    """What a maximum says, in the units of the series."""
+    p, theta = point.p, point.theta
+    value = likelihood.value(theta, p)
+    z = likelihood.innovations
+    n = int(np.isfinite(z).sum())
+    covariance = point.covariance
+    flags = frozenset({"capped"}) if at_cap(likelihood, theta[:p]) else frozenset()
+    model = ArmaModel(
+        theta[:p],
+        theta[p:-1],
+        math.exp(theta[-1]) / likelihood.unit,
+        covariance[:-1, :-1],
+        log_s0_spread(theta, p, covariance),
+        float(n),
+        flags,
+    )
+    loglik = -value + n * math.log(likelihood.unit)
+    return ChannelFit(model, loglik, CHANNEL_CHOICE.score(-2.0 * loglik, theta.size, n), z, n)
+
+
+def at_cap(likelihood: Likelihood, ar: Array) -> bool:
+    """Whether a pole sits at the largest radius that the series can tell from a bias."""
+    return not is_stable(ar, 1.0 - 1.01 * (1.0 - likelihood.pole_radius))
+
+
+def _is_white(z: Array, fitted: int) -> bool:
+    known = np.isfinite(z)
+    if int(known.sum()) < fitted + 30:
+        return False
+    first, last = np.flatnonzero(known)[[0, -1]]
+    clipped = np.clip(z[first : last + 1], -CLIP, CLIP)
+    return bool(whiteness(clipped, fitted, level=CHANNEL_CHOICE.level).is_white)

@@ -1,0 +1,415 @@
+"""The learner of one channel: a posterior over error models, and the one model that it hands out at each hop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
+
+from navfilter.learning.fast_prior import QuickDescription
+from navfilter.learning.hierarchical_prior import alike
+from navfilter.learning.initial_values import cold_starts, grown_starts, padded_starts, with_slow_parts
+from navfilter.learning.learned_model import Learnt, fast_model, learnt_from
+from navfilter.learning.learner_memory import LearnerMemory, Order
+from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.settings import EFFORT
+from navfilter.learning.slow_posterior import DEAD, SlowPosterior, denied, follow
+from navfilter.learning.slow_prior import SlowPrior
+from navfilter.learning.white_prior import Doubt, WhiteDescription
+from navfilter.models.error_models import GaussMarkov
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
+from navfilter.timeseries.order_criterion import criterion
+
+__all__ = ["Learner", "LearnerMemory", "Look", "hop_together"]
+
+Array = NDArray[np.float64]
+
+
+class Look(NamedTuple):
+    """What a learner has found in one series.
+
+    Attributes
+    ----------
+    series : ndarray, shape (N,)
+    likelihood : Likelihood
+    point : Point
+        The fast part, beside the slow one where the learner has a prior of that.
+    posterior : SlowPosterior or None
+    n : int
+        Samples that count.
+    plain : Learnt or None
+        What is handed out instead, as a description without slow parts has it.
+    prior : SlowPrior or None
+        Of the slow part, given the fast one.
+    """
+
+    series: Array
+    likelihood: Likelihood
+    point: Point
+    posterior: SlowPosterior | None
+    n: int
+    plain: Learnt | None = None
+    prior: SlowPrior | None = None
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether the fast part is not white."""
+        return self.point.theta.size > 1 + 2 * bool(self.point.slow)
+
+
+class Learner:
+    """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
+
+    The error is a slow part beside a fast ARMA part. The fast part is fitted with the slow one, for each order; the
+    orders are weighed by BIC. Of the slow part there is a posterior, which adds up over the hops (`follow`): one model
+    with its mean covariance is handed out. What the data cannot tell is thereby carried as variance.
+
+    Parameters
+    ----------
+    orders : sequence of (p, q)
+        Candidates of the fast part. Include the reductions of each.
+    window : int
+        Most samples behind an estimate.
+    drift : Drift
+        The slow navigation error beside the sensor's, and the period.
+    white : float
+        Variance of known white noise in the series.
+    prior : SlowPrior, optional
+        Of the slow part; without one the error has none.
+    described : WhiteDescription, optional
+        Where there is no such prior: what stays believed of low frequencies.
+    quick : QuickDescription, optional
+        Where the prior is that of a description without slow parts: what it says as long as readings bear it out.
+
+    Raises
+    ------
+    ValueError
+        For no orders, negative orders, a window that is too short, a bad variance.
+
+    Examples
+    --------
+    >>> import navfilter as nf
+    >>> learner = Learner([(0, 0), (1, 0), (1, 1)], 2000, Drift((1e-3, 0.0), 0.125))
+    >>> model = learner.hop(nf.simulate_arma([-0.9], [], 1.0, 2000, seed=3)).model
+    >>> model.ar.round(1)
+    array([-0.9])
+    """
+
+    def __init__(
+        self,
+        orders: Sequence[Order],
+        window: int,
+        drift: Drift,
+        *,
+        white: float = 0.0,
+        prior: SlowPrior | None = None,
+        described: WhiteDescription | None = None,
+        quick: QuickDescription | None = None,
+    ) -> None:
+        self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
+        if not self.orders or min(min(order) for order in self.orders) < 0:
+            raise ValueError(f"orders must be at least one (p, q) of numbers not below 0, found {orders!r}.")
+        if int(window) != window or window < LEAST:
+            raise ValueError(f"window must be a whole number of samples, at least {LEAST}, found {window}.")
+        if not (math.isfinite(white) and white >= 0.0):
+            raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
+        self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
+        self.described, self.quick = described if prior is None else None, None if prior is None else quick
+        self._memory = LearnerMemory({}, {}, {}, 0, 0, {}, 0)
+
+    @property
+    def memory(self) -> LearnerMemory:
+        """All that the learner knows; setting one goes on from it, to the last bit."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: LearnerMemory) -> None:
+        extra = 0 if self.prior is None else 2
+        for order, theta in memory.thetas.items():
+            if order not in self.orders or theta.shape != (sum(order) + 1 + extra,):
+                raise ValueError(
+                    f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}."
+                )
+        self._memory = memory
+
+    def forget(self) -> None:
+        """The error has changed: what was found serves as a start, and is no evidence any longer."""
+        memory, plain = self._memory, self._plain()
+        if plain is not None:
+            plain.forget()
+        known = None if plain is None else plain.memory
+        self._memory = LearnerMemory(memory.thetas, {}, {}, memory.turn, 0, {}, 0, known, memory.contradicted)
+
+    def _plain(self) -> Learner | None:
+        """One that learns the same as the description has it, without a slow part."""
+        if self.quick is None or self._memory.contradicted:
+            return None
+        plain = Learner(self.orders, self.window, self.drift, white=self.white, described=self.quick.low)
+        if self._memory.plain is not None:
+            plain.memory = self._memory.plain
+        return plain
+
+    def hop(self, series: ArrayLike, fresh: int | None = None) -> Learnt | None:
+        """Learn from the last `window` samples (fewer at first).
+
+        Parameters
+        ----------
+        series : array_like, shape (N,)
+            Oldest first; NaN is a missing tick.
+        fresh : int, optional
+            How many of them came since the last hop; default: all are looked at as if for the first time.
+
+        Returns
+        -------
+        Learnt or None
+            In the unit of the series; None where it holds too little, or never changes.
+
+        Raises
+        ------
+        ValueError
+            For a series that is not one-dimensional.
+        """
+        return hop_together([self], [series], fresh)[0]
+
+    def look(self, series: ArrayLike, fresh: int | None = None) -> Look | None:
+        """The first part of a hop, see there: what is found in the series by itself."""
+        y = np.array(series, dtype=np.float64, order="C")
+        if y.ndim != 1:
+            raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
+        y = np.where(np.abs(y) <= WILDEST, y, np.nan)[-self.window :]
+        n = int(np.isfinite(y).sum())
+        able = [order for order in self.orders if n - self.drift.order >= max(LEAST, PER_PARAMETER * (sum(order) + 1))]
+        if not able:
+            return None
+        try:
+            slowest_s = math.inf if self.described is None else self.described.slowest_s
+            likelihood = Likelihood(y, self.drift, self.white, self.prior, slowest_s=slowest_s)
+        except ValueError:
+            return None
+        fresh = y.size if fresh is None else fresh
+        heard = fresh + self._memory.heard
+        # until the window is full, all that was ever heard is in it
+        first = 0 if heard <= y.size else max(0, y.size - fresh)
+        # what is heard for the first time is half of it
+        again = heard >= 2 * self._memory.grown
+        fits = self._fits(likelihood, able, n, again)
+        if not fits:
+            return None
+        scores = {order: self._score(point, n) for order, point in fits.items()}
+        best = min(scores, key=lambda order: scores[order])
+        point, tried = self._smooth(likelihood, fits, scores, best, n)
+        posterior = prior = None
+        if self.prior is not None:
+            prior = self.prior
+            if prior.is_hidden:
+                prior = prior.beside(fast_model(likelihood, point, n).variance)
+            forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
+            posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting, prior)
+            if first > 0 and self._contradicted(likelihood, point, posterior):
+                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0, prior)
+        self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
+        return Look(y, likelihood, point, posterior, n, self._as_described(y, fresh), prior)
+
+    def _as_described(self, series: Array, fresh: int) -> Learnt | None:
+        """What is learnt where slow errors are as unlikely as the description has them, while readings bear it out."""
+        plain = self._plain()
+        if plain is None or self.quick is None or (look := plain.look(series, fresh)) is None:
+            return None
+        denied = self.quick.is_denied(look.likelihood, plain._score(look.point, look.n))
+        if denied and not self.quick.holds(fast_model(look.likelihood, look.point, look.n)):
+            self._memory = replace(self._memory, plain=None, contradicted=True)
+            return None
+        self._memory, doubt = replace(self._memory, plain=plain.memory), plain.doubts(look)
+        return plain.say(look, doubt, 0.0 if doubt is None else float(expit(doubt.gain)))
+
+    def doubts(self, look: Look) -> Doubt | None:
+        """What speaks for a slow error that was not described; None where one was, or nothing is known of its kind."""
+        if self.described is None:
+            return None
+        return self.described.doubt(look.point, look.series, self.drift, self.white)
+
+    def say(self, look: Look, doubt: Doubt | None, present: float) -> Learnt:
+        """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability
+        of `present`.
+        """
+        series, likelihood, point, posterior, n, plain, _ = look
+        if plain is not None:
+            return plain
+        if doubt is not None:
+            posterior = doubt.posterior.given(present)
+            if present > 0.5:
+                likelihood, point = doubt.likelihood, doubt.point
+        learnt = learnt_from(likelihood, point, posterior, n)
+        if self.described is None:
+            return learnt
+        unseen = self.described.unseen(learnt.model, series, self.drift, self.white)
+        return learnt._replace(slow=max(learnt.slow, unseen, key=_power))
+
+    def _contradicted(self, likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
+        """Whether earlier evidence, which was given another fast part, does not go with this window: both together lead
+        to a slow part that the one or the other denies.
+        """
+        assert self.prior is not None
+        node = posterior.mode
+        if denied(self._memory.lines, self.prior, node) > EFFORT.contradicted:
+            return True
+        fast = likelihood.fast(point.theta, point.slow)
+        theta = np.concatenate([fast, [math.log(node.sd) + likelihood.log_unit, math.log(node.tau_s)]])
+        return bool(likelihood.penalised([theta], point.p, node.order)[0] > point.value + EFFORT.contradicted)
+
+    def _score(self, point: Point, n: int) -> float:
+        """Half of BIC; the slow part is there for every order."""
+        fast = point.theta.size - 2 * bool(point.slow)
+        return point.value + 0.5 * criterion("bic", 0.0, fast, n)
+
+    def _fits(self, likelihood: Likelihood, able: list[Order], n: int, again: bool) -> dict[Order, Point]:
+        """The orders whose turn it is, each from its last estimate; large ones also from smaller ones, `again` and
+        again: what was found of few readings may be near a lower maximum, and a step never leaves it.
+        """
+        memory, slow = self._memory, 0 if self.prior is None else 1
+        fits: dict[Order, Point] = {}
+        for order in self._ration(able):
+            known, (p, q) = memory.thetas.get(order), order
+            # what it costs to be larger comes off what an order may be worth
+            best = min((self._score(point, n) for point in fits.values()), default=math.inf)
+            enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n)
+            below = {k: point for k, point in fits.items() if k[0] <= p and k[1] <= q}
+            if known is not None:
+                moved = known.copy()
+                moved[p + q : p + q + 1 + slow] += likelihood.log_unit
+                grown = grown_starts(likelihood, below, p, q) if again and p + q > EFFORT.one_maximum else []
+                starts = [moved, *(grown or padded_starts(likelihood, below, p, q))]
+                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, 2 if grown else 1, enough)
+            else:
+                starts = [*padded_starts(likelihood, below, p, q), *grown_starts(likelihood, below, p, q)]
+                if p + q <= 2 or not starts:
+                    cold = cold_starts(likelihood, p, q)
+                    like = min(below.values(), key=lambda point: point.value).theta if below else None
+                    starts += with_slow_parts(likelihood, cold, p, 1, like) if slow and cold else cold
+                point = maximise(likelihood, starts, p, EFFORT.first_passes, slow, enough=enough)
+            if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
+                fits[order] = point
+        return fits
+
+    def _ration(self, able: list[Order]) -> list[Order]:
+        """The orders to fit: all while the window fills, then the two best, and one of the others in turn."""
+        memory = self._memory
+        if memory.heard < self.window // 2 or any(order not in memory.scores for order in able):
+            return able
+        ranked = sorted(able, key=lambda order: (memory.scores[order], sum(order)))
+        others = sorted(ranked[2:])
+        turn = [others[memory.turn % len(others)]] if others else []
+        return sorted([*ranked[:2], *turn], key=lambda pq: (sum(pq), pq))
+
+    def _smooth(
+        self, likelihood: Likelihood, fits: dict[Order, Point], scores: dict[Order, float], best: Order, n: int
+    ) -> tuple[Point, tuple[Order, Point] | None]:
+        """The best point, with a slow part of second order where that serves better; and what was tried for that."""
+        found, lowest, lines = fits[best], scores[best], self._memory.lines
+        likely = (
+            not lines or max(float(line.evidence.max()) for (order, _), line in lines.items() if order == 2) > -DEAD
+        )
+        if self.prior is None or not likely:
+            return found, None
+        # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
+        young = self._memory.heard < self.window // 2
+        starts = [
+            (order, with_slow_parts(likelihood, [likelihood.fast(fits[order].theta, 1)], order[0], 2)[0])
+            for order in ({best, min(fits)} if young or not self._memory.smooth else {min(fits)})
+        ]
+        for order, known in self._memory.smooth.items():
+            moved = known.copy()
+            moved[sum(order) : sum(order) + 2] += likelihood.log_unit
+            starts.append((order, moved))
+        values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
+        order, start = starts[int(np.argmin(values))]
+        point = maximise(likelihood, [start], order[0], EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
+        if not math.isfinite(point.value):
+            return found, None
+        return (point if self._score(point, n) < lowest else found), (order, point)
+
+    def _keep(
+        self,
+        likelihood: Likelihood,
+        fits: dict[Order, Point],
+        scores: dict[Order, float],
+        posterior: SlowPosterior | None,
+        heard: int,
+        grown: int,
+        tried: tuple[Order, Point] | None,
+    ) -> None:
+        memory, slow = self._memory, 0 if self.prior is None else 1
+
+        def kept(order: Order, point: Point) -> Array:
+            theta = point.theta.copy()
+            theta[sum(order) : sum(order) + 1 + slow] -= likelihood.log_unit
+            return theta
+
+        thetas = {**memory.thetas, **{order: kept(order, point) for order, point in fits.items()}}
+        smooth = {} if tried is None else {tried[0]: kept(*tried)}
+        lowest = min(scores.values())
+        gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
+        lines, known = {} if posterior is None else posterior.lines, (memory.plain, memory.contradicted)
+        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown, *known)
+
+
+def _power(parts: Sequence[GaussMarkov]) -> float:
+    """Of slow parts at zero frequency, but for a factor."""
+    return sum(part.sd**2 * part.tau_s for part in parts)
+
+
+def hop_together(
+    learners: Sequence[Learner | None], series: Sequence[ArrayLike | None], fresh: int | None = None
+) -> list[Learnt | None]:
+    """A hop of all axes of a sensor, see `Learner.hop`.
+
+    Those with the same prior have like slow errors, see `navfilter.learning.hierarchical_prior`.
+
+    Where the readings of one are not as white as was described, slow errors are doubted of each that was described like
+    this: they all have one, or none has.
+
+    Parameters
+    ----------
+    learners : sequence of Learner or None
+    series : sequence of array_like or None
+        One for each.
+    fresh : int, optional
+
+    Returns
+    -------
+    list of Learnt or None
+        None, too, where there is no learner or no series.
+    """
+    pairs = [
+        (learner, None if learner is None or one is None else learner.look(one, fresh))
+        for learner, one in zip(learners, series, strict=True)
+    ]
+    pairs = _told_by_others(pairs)
+    doubted = any(learner and learner.described and look and look.is_coloured for learner, look in pairs)
+    doubts = [learner.doubts(look) if learner and look and doubted else None for learner, look in pairs]
+    present = float(expit(sum(doubt.gain for doubt in doubts if doubt is not None)))
+    return [
+        None if learner is None or look is None else learner.say(look, doubt, present)
+        for (learner, look), doubt in zip(pairs, doubts, strict=True)
+    ]
+
+
+def _told_by_others(pairs: list[tuple[Learner | None, Look | None]]) -> list[tuple[Learner | None, Look | None]]:
+    """The looks of all axes, those that are described alike with what the others say of their slow errors."""
+    axes: dict[SlowPrior, list[int]] = {}
+    for axis, (learner, look) in enumerate(pairs):
+        if learner and learner.prior and look and look.posterior:
+            axes.setdefault(learner.prior, []).append(axis)
+    for same in axes.values():
+        looks = [look for _, look in (pairs[axis] for axis in same) if look is not None]
+        found = [(look.posterior, look.prior) for look in looks]
+        told = alike([(posterior, prior) for posterior, prior in found if posterior and prior])
+        for axis, look, posterior in zip(same, looks, told, strict=True):
+            pairs[axis] = pairs[axis][0], look._replace(posterior=posterior)
+    return pairs

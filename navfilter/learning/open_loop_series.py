@@ -1,0 +1,415 @@
+"""What is listened to of one sensor: its open-loop residuals, from which its error models are learnt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import open_loop_residual
+from navfilter.learning.axis_learner import hop_together
+from navfilter.learning.background import Task, Worker
+from navfilter.learning.learner_memory import LearnerMemory, memories, recall
+from navfilter.learning.series_memory import ChannelSeries, Hop, ListenerMemory
+from navfilter.learning.setup import learner_of, with_learnt
+from navfilter.learning.spikes import without_spikes
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.learned_arma import known_walk, known_white, learning_part
+from navfilter.models.navigation_drift import FOUND_S
+from navfilter.models.sensors import Sensor
+from navfilter.models.vehicle import Vehicle
+from navfilter.models.window_limits import LEAST, LONGEST_GAP
+
+__all__ = ["ChannelSeries", "Listener"]
+
+Array = NDArray[np.float64]
+#: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
+#: Hz its sd is 0.06.
+MEMORY_S, PROBATION_S = 30.0, 90.0
+#: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
+#: half minute that is the least a hop learns from.
+TAKEN_AFTER_S = 2.0
+#: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
+LEFT_OUT = 16
+NEVER = int(np.iinfo(np.int64).max)
+
+
+class Listener:
+    """Notes the open-loop residuals of one sensor, and learns its error models from them.
+
+    The series is the reading minus the prediction of an open loop (the filter's own, with everything fed back taken off
+    again), so that it holds the sensor's error whole, beside a navigation error that wanders by the known noise of the
+    inertial unit. What the filter believes of the sensor does not enter: no feedback can bias it.
+
+    Parameters
+    ----------
+    name : str
+    sensor : Sensor
+    vehicle : Vehicle
+    white : ndarray, shape (axes,)
+        Known white variance beside the models: that of the lever arm.
+    behind_s : float
+        Readings may come so late [s]. A model is learnt from readings older than that, and the filter may go back by as
+        much.
+    worker : Worker
+        Works on the hops.
+    capacity : int, optional
+        Ticks to keep; default: the window of the learnt models, and what going back needs.
+    expect : callable, optional
+        Returns, as a weak reference does, what is told where a hop is worked on which models will be adopted.
+
+    Raises
+    ------
+    ValueError
+        For a sensor whose error cannot be told from the vehicle's motion.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        sensor: Sensor,
+        vehicle: Vehicle,
+        white: Array,
+        behind_s: float,
+        worker: Worker,
+        capacity: int | None = None,
+        expect: Callable[[], Callable[[str, tuple[ErrorModel, ...]], None] | None] | None = None,
+    ) -> None:
+        self._expect = expect
+        self.kind = sensor.open_loop
+        if self.kind == open_loop_residual.NOTHING:
+            raise ValueError(
+                f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error '
+                "model."
+            )
+        self.name, self.period_s, self.behind_s = name, 1.0 / sensor.rate_hz, behind_s
+        self.worker = worker
+        self._found: tuple[tuple[ErrorModel, ...], tuple[float, ...]] = (), ()  # models, and their S(0)
+        # the hop that was begun last, what the learners knew then, and the work on it
+        self._begun: tuple[Hop, tuple[LearnerMemory | None, ...], Task] | None = None
+        self._before: object = None  # the same of the one before: the thread frees it, as it takes long
+        models = sensor.models
+        learned = [learning_part(model) for model in models]
+        window = max((part.window for part in learned if part is not None), default=0)
+        self.axes, parameters = sensor.axes, sensor.all_parameters()
+        # of how many constants estimates and slopes are noted: all of the sensor, where one is not known
+        self.constants = len(parameters) if any(p.sd for p in parameters) else 0
+        clock = next((i for i, p in enumerate(parameters) if p.name == "time_offset"), -1)
+        rows = sensor.axes + 1 + self.constants * (sensor.axes + 1)
+        facts = sensor.still_m_s, sensor.lead_s, clock, rows, 0.0
+        self.mount = np.concatenate([facts, np.ascontiguousarray(sensor.instrument_axes()).ravel()])
+        self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
+        self._turns = any(math.isfinite(drift.most_turned) for drift in self.drifts)
+        self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
+        self.learners = tuple(
+            None if part is None else learner_of(part, sensor, drift, r)
+            for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
+        )
+        # more missing ticks than are predicted through
+        self._anew = max(LONGEST_GAP + 1, math.ceil(FOUND_S / self.period_s))
+        self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
+        self.described = models
+        self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
+        # what is left out as too new, and what going back writes over
+        capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
+        known = {
+            open_loop_residual.KIND: self.kind,
+            open_loop_residual.CAPACITY: capacity,
+            open_loop_residual.SHARE: self._share,
+        }
+        self._ear = np.array(
+            [*(known.get(i, 0.0) for i in range(open_loop_residual.MOUNT)), *self.mount], dtype=np.float64
+        )
+        self._memory = ListenerMemory(
+            ring=np.full((rows, capacity), np.nan),
+            cursor=np.zeros(1, np.int64),
+            left_out=np.zeros((LEFT_OUT, 2), np.int64),
+            due=LEAST if window else NEVER,
+            heard=0,
+            since=0,
+            nis=1.0,
+            judged=round(PROBATION_S / self.period_s),
+            usual=1.0,
+            low=False,
+            models=models,
+            learners=memories(self.learners),
+            hop=None,
+            ended=False,
+        )
+
+    @property
+    def learns(self) -> bool:
+        """Whether anything is learnt from what it hears."""
+        return self.window > 0 and not self._memory.ended
+
+    @property
+    def memory(self) -> ListenerMemory:
+        """All that changes; setting one goes back (or on) to it."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: ListenerMemory) -> None:
+        recall(self.learners, self._memory.learners, memory.learners)
+        self._memory = memory
+
+    def series(self, axis: int) -> Array:
+        """All ticks of one axis, oldest first; isolated spikes are missing."""
+        return without_spikes(self._told(axis, *self._noted(self._memory.ring.shape[1])))
+
+    def _noted(self, last: int, without: int = 0) -> tuple[Array, NDArray[np.int64]]:
+        """The last ticks of all axes, and what is needed beside them, oldest first, without the newest; and what of
+        them is left out. Both are copies.
+        """
+        ring = self._memory.ring
+        written, capacity = int(self._memory.cursor[0]), ring.shape[1]
+        first = written - min(written, last, capacity)
+        at, count = first % capacity, max(written - without - first, 0)
+        rows = self.axes + 1 if self._turns else self.axes
+        heard, room = np.empty((rows, count)), min(capacity - at, count)
+        heard[:, :room], heard[:, room:] = ring[:rows, at : at + room], ring[:rows, : count - room]
+        if self.constants and count:
+            told = ring[self.axes + 1 :, np.arange(first, first + count) % capacity]
+            estimates, slopes = told[: self.constants], told[self.constants :].reshape(self.axes, self.constants, count)
+            # as if the constants had been known as they were at the last of these ticks
+            heard[: self.axes] += np.einsum("akt,kt->at", slopes, estimates - estimates[:, -1:])
+        return heard, self._memory.left_out - first
+
+    def _told(self, axis: int, heard: Array, left_out: NDArray[np.int64]) -> Array:
+        """What one axis is learnt from: the last of these ticks, without those that are left out."""
+        series, turned = heard[axis].copy(), heard[-1]
+        for begin, end in left_out.tolist():
+            if end > 0:
+                series[max(begin, 0) : end] = np.nan
+        for tick in self.drifts[axis].begins_anew(turned):
+            series[max(tick + 1 - self._anew, 0) : tick + 1] = np.nan
+        return series
+
+    def leave_out(self, ticks: int) -> None:
+        """Learn nothing from the last so many ticks."""
+        rows, end = self._memory.left_out, int(self._memory.cursor[0])
+        begin = max(0, end - ticks)
+        if rows[-1, 1] >= begin and end:
+            rows[-1] = min(rows[-1, 0], begin), end
+        else:
+            rows[:-1] = rows[1:]
+            rows[-1] = begin, end
+
+    def begin_anew(self, seconds: float) -> None:
+        """Learn nothing from the last seconds, in which the open loop has been led astray: its drift begins anew."""
+        self.leave_out(max(math.ceil(seconds / self.period_s), self._anew))
+
+    def all_series(self) -> tuple[ChannelSeries, ...]:
+        """All that was heard, axis by axis."""
+        return tuple(
+            ChannelSeries(self.series(axis), drift, self.period_s, white)
+            for axis, (drift, white) in enumerate(zip(self.drifts, self.white, strict=True))
+        )
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next hop has come."""
+        return self._memory.hop is None and bool(self._memory.cursor[0] >= self._memory.due)
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the answer of a hop is to be taken."""
+        hop = self._memory.hop
+        return hop is not None and bool(self._memory.cursor[0] >= hop.taken)
+
+    @property
+    def ear(self) -> Array:
+        """What a kernel needs to listen over many readings, see `navfilter.kernels.open_loop_residual`."""
+        memory, ear = self._memory, self._ear.copy()
+        due = memory.due if memory.hop is None else memory.hop.taken
+        ear[open_loop_residual.NOTED], ear[open_loop_residual.DUE], ear[open_loop_residual.WATCHED] = (
+            memory.cursor.item(),
+            due,
+            self.learns,
+        )
+        ear[open_loop_residual.NIS], ear[open_loop_residual.JUDGED], ear[open_loop_residual.USUAL] = (
+            memory.nis,
+            memory.judged,
+            memory.usual,
+        )
+        return ear
+
+    def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
+        """Take over what a kernel has heard: ticks of each reading, and what it has noted of them (n, axes + 1)."""
+        memory, capacity = self._memory, self._memory.ring.shape[1]
+        ends = np.minimum(np.maximum(ticks.astype(np.int64), 1), capacity + 1).cumsum()
+        new = values
+        if ends[-1] > len(values):  # some ticks had no reading
+            new = np.full((int(ends[-1]), values.shape[1]), np.nan)
+            new[ends - 1] = values
+        memory.cursor[0] += len(new)
+        kept = new[-capacity:].T
+        begin = int(memory.cursor[0] - kept.shape[1]) % capacity
+        room = capacity - begin
+        memory.ring[:, begin : begin + kept.shape[1]] = kept[:, :room]
+        memory.ring[:, : max(kept.shape[1] - room, 0)] = kept[:, room:]
+        memory.nis = float(ear[open_loop_residual.NIS])
+
+    def settle(self, age_s: float) -> None:
+        """The beginning will be done again: nothing is learnt again from what was heard before now; the last tick was
+        `age_s` ago.
+        """
+        self._memory.due = self._next(self._ticks_by_now(age_s)) if self.learns else NEVER
+
+    def give_up(self) -> None:
+        """Back to the error models as described: nothing is learnt any more."""
+        self._memory.models = self.described
+        self.leave()
+
+    def begin_again(self) -> None:
+        """Listen from the start again."""
+        self._memory.cursor[0] = 0
+        self._memory.left_out[:] = 0
+
+    def _ticks_by_now(self, age_s: float) -> int:
+        """Ticks noted so far, and those that should have come since: their readings may be on their way."""
+        ticks = int(self._memory.cursor[0])
+        return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
+
+    def _next(self, ticks: int) -> int:
+        """Ticks that make the next hop due: twice as many since the last change at first, a hop more then."""
+        known = ticks - self._memory.since
+        return ticks + min(self.hop, known) if known >= LEAST else self._memory.since + LEAST
+
+    def notice(self, nis: float, dof: int) -> None:
+        """Take note of how a reading fared in the filter; after a change of the error only what came since is learnt
+        from.
+        """
+        memory = self._memory
+        if not dof or not math.isfinite(nis):
+            return
+        memory.nis += self._share * (min(nis / dof, open_loop_residual.NIS_MOST) - memory.nis)
+        self.judge()
+
+    def judge(self) -> None:
+        """Whether the error has changed, by the mean NIS.
+
+        What is too low once more, by a model that was learnt since, is no change: more white noise is described beside
+        what is learnt than there is, and no model makes up for that.
+        """
+        memory, now = self._memory, int(self._memory.cursor[0])
+        if (
+            now < memory.judged
+            or open_loop_residual.CALM_LEAST < memory.nis / memory.usual < open_loop_residual.CALM_MOST
+        ):
+            return
+        time_constant = round(MEMORY_S / self.period_s)
+        low = memory.nis < memory.usual
+        if low and memory.low and now < memory.judged + time_constant and memory.usual == 1.0:
+            memory.usual, memory.judged = memory.nis, now + time_constant
+            return
+        memory.usual, memory.low = 1.0, low
+        # noticed within a time constant
+        self.learn_anew(time_constant)
+
+    def learn_anew(self, ticks: int = 0) -> None:
+        """From now on learn only from the last so many ticks, and from what comes."""
+        memory = self._memory
+        now = int(memory.cursor[0])
+        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
+        memory.since = memory.heard = max(memory.since, now - ticks)
+        memory.due = now + round(MEMORY_S / self.period_s) if self.learns else NEVER
+        recall(self.learners, memories(self.learners), memory.learners)
+        for learner in self.learners:
+            if learner is not None:
+                learner.forget()
+        memory.learners, memory.hop = memories(self.learners), None
+
+    def begin_hop(self, age_s: float = 0.0, taken: int | None = None) -> None:
+        """Begin to learn from what was noted so far; the last tick was `age_s` ago. The answer is taken `TAKEN_AFTER_S`
+        later, or at tick `taken`.
+        """
+        memory = self._memory
+        written = int(memory.cursor[0])
+        newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
+        memory.due = self._next(written)
+        fresh, memory.heard = written - newest - memory.heard, written - newest
+        after = math.ceil(TAKEN_AFTER_S / self.period_s)
+        noted = self._noted(min(self.window + newest, written - memory.since), newest)
+        memory.hop = Hop(*noted, fresh, written + after if taken is None else taken)
+        self.worker.later(self._tell)
+
+    def _tell(self) -> None:
+        """Tell the thread of the hop, in a turn of its own."""
+        if self._memory.hop is not None:
+            self._task(self._memory.hop)
+
+    def take_early(self) -> None:
+        """Nothing is done at early ages any more: the answer of their hop is taken by the number of ticks."""
+        memory, after = self._memory, math.ceil(TAKEN_AFTER_S / self.period_s)
+        if memory.hop is not None and memory.hop.taken == NEVER:
+            memory.hop = replace(memory.hop, taken=int(memory.cursor[0]) + after)
+
+    def leave(self) -> None:
+        """Nothing is learnt any more."""
+        self._memory.hop, self._memory.due, self._memory.ended = None, NEVER, True
+
+    def _task(self, hop: Hop) -> Task:
+        """The work on a hop. A late reading that goes back over its beginning asks for the same once more."""
+        knew = self._memory.learners
+        if self._begun is not None and self._begun[0] is hop and self._begun[1] is knew:
+            return self._begun[2]
+        if self._begun is None or not (
+            (self._begun[0] is hop or self._begun[0].is_same(hop))
+            and all(one is two for one, two in zip(self._begun[1], knew, strict=True))
+        ):
+            self._before, work = self._begun, partial(self._answered, knew, hop, self._memory.models)
+            self._begun = hop, knew, Task(self.worker, work)
+        return self._begun[2]
+
+    def learnt(self) -> tuple[ErrorModel, ...] | None:
+        """Take the answer of the hop: the error models to adopt, or None when there is nothing new."""
+        memory = self._memory
+        if memory.hop is None:  # what it was learnt from does not count any longer
+            return None
+        models, levels, memory.learners = self._task(memory.hop).answer()
+        memory.hop = None
+        if models is memory.models:
+            return None
+        memory.models, self._found = models, (models, levels)
+        return models
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """S(0) of what is learnt, per axis; 1 where nothing is."""
+        models = self._memory.models
+        if models is not self._found[0]:
+            self._found = models, self._levels(models)
+        return self._found[1]
+
+    def _levels(self, models: Sequence[ErrorModel]) -> tuple[float, ...]:
+        parts = [learning_part(model) for model in models]
+        return tuple(1.0 if part is None else max(part.level(self.period_s), 1e-300) for part in parts)
+
+    def _answered(
+        self, knew: Sequence[LearnerMemory | None], hop: Hop, models: tuple[ErrorModel, ...]
+    ) -> tuple[tuple[ErrorModel, ...], tuple[float, ...], tuple[LearnerMemory | None, ...]]:
+        """Error models that the learners of all axes have found (the very same where nothing is new), their S(0), and
+        what the learners know then; they themselves do not change. What is not of the hop may be another one meanwhile:
+        this is worked on beside the run.
+        """
+        self._before, own = None, [copy(learner) for learner in self.learners]
+        recall(own, memories(own), knew)
+        series, found = [], []
+        for axis, learner in enumerate(own):
+            before = 0 if learner is None else max(hop.heard.shape[1] - learner.window, 0)
+            told = None if learner is None else self._told(axis, hop.heard[:, before:], hop.left_out - before)
+            series.append(None if told is None else without_spikes(told))
+        for model, learnt in zip(models, hop_together(own, series, hop.fresh), strict=True):
+            found.append(with_learnt(model, learnt))
+            if learnt is not None and learning_part(found[-1]) is not None:  # remembered for the adoption
+                found[-1].block(self.period_s)
+        new = models if tuple(found) == models else tuple(found)
+        expect = self._expect and self._expect()
+        if expect and new is not models:
+            expect(self.name, new)
+        return new, self._levels(new), memories(own)

@@ -1,0 +1,64 @@
+"""What a sensor's description has its learner believe, and what was learnt, put into that description."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from navfilter.kernels import open_loop_residual
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.fast_prior import quick_description
+from navfilter.learning.learned_model import Learnt
+from navfilter.learning.slow_prior import SlowPrior, slow_prior
+from navfilter.learning.white_prior import white_description
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.learned_arma import LONGEST_SPAN_S, LearnedArma, learned_part, with_learned
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors import Sensor
+
+__all__ = ["believed", "learner_of", "span_s", "with_learnt"]
+
+
+def with_learnt(model: ErrorModel, found: Learnt | None, frozen: bool = False) -> ErrorModel:
+    """An error model with what was found in force, and with nothing more to be learnt where it is `frozen`."""
+    part = learned_part(model)
+    if part is None or found is None:
+        return model
+    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
+    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum, frozen=frozen))
+
+
+def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, window: int | None = None) -> Learner:
+    """The learner of one axis of a correcting sensor.
+
+    Parameters
+    ----------
+    part : LearnedArma
+        Of the axis.
+    sensor : Sensor
+    drift : Drift
+    white : float
+        Known white variance in the series.
+    window : int, optional
+        Samples; default: that of the part.
+    """
+    part = part if window is None else replace(part, window=window)
+    period_s = 1.0 / sensor.rate_hz
+    described = white_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
+    # a drift hides slow errors of velocities and positions; the usual error of a kind says nothing of this sensor's
+    is_hidden = sensor.open_loop in (open_loop_residual.VELOCITY, open_loop_residual.POSITION) and part.prior not in (
+        None,
+        sensor.prior,
+    )
+    prior = believed(part, period_s, is_hidden)
+    quick = quick_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
+    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described, quick=quick)
+
+
+def believed(part: LearnedArma, period_s: float, is_hidden: bool = False) -> SlowPrior | None:
+    """The prior of the slow error of a part that learns at this period."""
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s), is_hidden, part.prior_within)
+
+
+def span_s(part: LearnedArma, period_s: float) -> float:
+    """Time that the window of a learnt part holds, as far as it counts [s]."""
+    return min(part.window * period_s, LONGEST_SPAN_S)

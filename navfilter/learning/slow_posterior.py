@@ -1,0 +1,398 @@
+"""The posterior of the slow part: prior times likelihood over its order, correlation time and standard deviation.
+
+For each order and node of ln tau the evidence is a smooth function of ln sd, known at a few places around its peak; it
+adds up from hop to hop. Sums over ln sd and ln tau give what a filter needs: the mean covariance of the slow part, and
+how sure the spectrum is.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.moment_matching import nearest
+from navfilter.learning.slow_prior import SlowNode, SlowPrior
+from navfilter.models.error_models import GaussMarkov
+
+__all__ = ["Line", "SlowPosterior", "denied", "follow"]
+
+Array = NDArray[np.float64]
+#: A node of the prior: order, and number of the correlation time.
+Place = tuple[int, int]
+#: No slow part at all.
+ABSENT: Place = (0, 0)
+
+#: Distance of two places on a line, in its standard deviations: of a Gaussian the sum over such places is the integral
+#: to 3e-4.
+SPACING = 1.5
+#: Places around the peak: from 3 standard deviations below to 4.5 or 6 above. The mean of sd^2 sits two above the peak
+#: where a line is as wide as the prior.
+AROUND, WIDE = (-2, -1, 0, 1, 2, 3), (-2, -1, 0, 1, 2, 3, 4)
+#: A line stays where it is while its places hold the posterior: the log-density falls by at most the one from the peak
+#: to its neighbours, and by at least the other to both ends.
+STEEPEST, SHALLOWEST = 3.0, 3.0
+#: A line wider than this in ln sd is wide.
+WIDTH = 0.4
+#: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
+FLATTEST = 0.5
+#: A line so far below the best is not followed until forgetting has brought it back.
+DEAD = 9.0
+#: Steps between two nodes of ln tau.
+STEPS = 5
+
+
+class Line(NamedTuple):
+    """Evidence along ln sd for one order and correlation time.
+
+    Attributes
+    ----------
+    log_sd, evidence : ndarray, shape (k,)
+        Places (unit of the series) and the log-likelihood there, but for a constant common to all lines.
+    peak, sd : float
+        Where the posterior had its peak, and how wide it was.
+    """
+
+    log_sd: Array
+    evidence: Array
+    peak: float
+    sd: float
+
+
+#: A search for a line: it yields places where minus the log-likelihood is wanted, and is sent it there.
+Search = Generator[list[float], list[float], Line]
+
+
+@dataclass(frozen=True, eq=False)
+class SlowPosterior:
+    """Weighted nodes of the slow part.
+
+    Attributes
+    ----------
+    lines : dict of (order, number of tau) to Line
+    order, tau_s, log_sd, weight : ndarray, shape (n,)
+        Nodes, their weights with the sum one.
+    moments : ndarray, shape (m, 4)
+        On a finer grid of tau: order, tau [s], weight, mean of sd^2.
+    log_odds : float
+        Logarithm of the odds that there is a slow part.
+    """
+
+    lines: dict[Place, Line]
+    order: Array
+    tau_s: Array
+    log_sd: Array
+    weight: Array
+    moments: Array
+    log_odds: float = 0.0
+
+    @property
+    def mode(self) -> SlowNode:
+        """The most probable node."""
+        best = int(np.argmax(self.weight))
+        return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
+
+    def told(self, prior: SlowPrior, log_factor: Array) -> SlowPosterior:
+        """The same with something that changes the prior of its nodes, shape (n,); the evidence stays what it was."""
+        return replace(_weighed(self.lines, prior, log_factor), lines=self.lines)
+
+    def given(self, present: float) -> SlowPosterior:
+        """The same where there is a slow part with another probability."""
+        ratio = present / float(self.moments[:, 2].sum())
+        none = self.lines[ABSENT].log_sd.size
+        weight, moments = self.weight * ratio, self.moments.copy()
+        weight[:none], moments[:, 2] = (1.0 - present) / none, moments[:, 2] * ratio
+        return replace(self, weight=weight, moments=moments)
+
+    def parts(self) -> tuple[GaussMarkov, ...]:
+        """At most two processes that stand for all: the mean covariance function is a sum over all nodes."""
+        return nearest(self.moments)
+
+
+def follow(
+    likelihood: Likelihood,
+    theta: Array,
+    p: int,
+    known: Mapping[Place, Line],
+    first: int,
+    forgetting: float,
+    prior: SlowPrior | None = None,
+) -> SlowPosterior:
+    """The posterior of the slow part, given the fast one.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        With a prior.
+    theta : ndarray
+        Fast and slow parameters: where to look.
+    p : int
+        Number of AR coefficients.
+    known : dict of (order, number of tau) to Line
+        Evidence of earlier hops; empty at the first.
+    first : int
+        Samples from here on are new; the others have been counted in `known`.
+    forgetting : float
+        Share of the earlier evidence that still counts.
+    prior : SlowPrior, optional
+        Default: that of the likelihood.
+    """
+    prior = prior or likelihood.prior
+    assert prior is not None
+    fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
+    taus = prior.taus_s
+    lines: dict[Place, Line] = {}
+    masses = dict(zip(known, _masses(known, prior)[0].tolist(), strict=True)) if first > 0 and known else {}
+    for order in (1, 2):
+        searches: dict[Place, tuple[float, Search]] = {}
+        for number, tau in enumerate(taus.tolist()):
+            old = known.get((order, number))
+            if masses.get((order, number), 0.0) < -DEAD:
+                continue
+            # along the ridge of equal driving noise
+            guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.sd)
+            look = _Look(prior, order, tau, old, forgetting if first > 0 else 0.0)
+            searches[order, number] = look.log_tau, look.line(*guess)
+        if order == 1:
+            # none at all: one too small to matter
+            old = known.get(ABSENT) if first > 0 else None
+            look = _Look(prior, 1, prior.tau_s, old, forgetting if old is not None else 0.0)
+            searches[ABSENT] = look.log_tau, look.smallest()
+        lines |= _together(likelihood, fast, p, order, searches, first)
+    # those not followed stay as far behind as they were, but for what is forgotten
+    rest = {place: line for place, line in known.items() if place not in lines}
+    if rest:
+        highest = float(_masses({at: line for at, line in lines.items() if at != ABSENT}, prior)[0].max())
+        lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
+    return _weighed(lines, prior)
+
+
+def _together(
+    likelihood: Likelihood, fast: Array, p: int, order: int, searches: Mapping[Place, tuple[float, Search]], first: int
+) -> dict[Place, Line]:
+    """What searches of one order find, each along its ln tau: what they want to know next is measured side by side."""
+    asked = {place: next(search) for place, (_, search) in searches.items()}
+    found: dict[Place, Line] = {}
+    while asked:
+        log_tau = [searches[place][0] for place, log_sd in asked.items() for _ in log_sd]
+        values = likelihood.lines(fast, p, order, log_tau, [u for log_sd in asked.values() for u in log_sd], first)
+        answers = iter(values.tolist())
+        for place, log_sd in list(asked.items()):
+            try:
+                asked[place] = searches[place][1].send([next(answers) for _ in log_sd])
+            except StopIteration as end:
+                found[place] = end.value
+                del asked[place]
+    return found
+
+
+def _weighed(lines: dict[Place, Line], prior: SlowPrior, log_factor: Array | float = 0.0) -> SlowPosterior:
+    lines = {place: lines[place] for place in sorted(lines)}
+    tops, shares, begins = _masses(lines, prior, log_factor)
+    highest = float(tops.max())
+    lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
+    order, number = np.array(list(lines)).T
+    there, sizes, log_sd = order > 0, np.diff(begins), np.concatenate([line.log_sd for line in lines.values()])
+    level = np.exp(np.maximum(tops - highest, -700.0))
+    level /= level.sum()
+    means = np.add.reduceat(shares * np.exp(2.0 * log_sd), begins[:-1])[there]
+    return SlowPosterior(
+        lines,
+        order=np.repeat(np.maximum(order, 1.0), sizes),
+        tau_s=np.repeat(prior.taus_s[number], sizes),
+        log_sd=log_sd,
+        weight=np.repeat(level, sizes) * shares,
+        moments=_between(prior.taus_s, (tops - highest)[there], np.log(means), float(level[there].sum())),
+        log_odds=float(np.logaddexp.reduce(tops[there]) - np.logaddexp.reduce(tops[~there])),
+    )
+
+
+def _masses(
+    lines: Mapping[Place, Line], prior: SlowPrior, log_factor: Array | float = 0.0
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Log of the posterior's mass on each line, and how it is shared by its places: those of all lines one behind the
+    other, and where each line begins, with the end of the last. `log_factor` comes to the prior of a node.
+    """
+    order, number = np.array(list(lines)).T
+    sizes = [line.log_sd.size for line in lines.values()]
+    begins = np.concatenate([[0], np.cumsum(sizes)])
+    log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
+    log_tau = np.repeat(np.log(prior.taus_s)[number], sizes)
+    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau) + log_factor
+    tops = np.maximum.reduceat(log, begins[:-1])
+    shares = np.exp(log - np.repeat(tops, sizes))
+    totals = np.add.reduceat(shares, begins[:-1])
+    tops += np.log(totals * SPACING * np.array([line.sd for line in lines.values()]))
+    odds = prior.absent / (1.0 - prior.absent)
+    absent = prior.log_mass() + math.log(max(odds, 1e-300))
+    tops = np.where(order > 0, tops, evidence[begins[:-1]] + absent)
+    return tops, shares / np.repeat(totals, sizes), begins
+
+
+def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
+    """Weights and means of sd^2 between the nodes of ln tau, see `SlowPosterior.moments`; their sum is `present`."""
+    smooth, straight = _fine(taus.size)
+    level = np.maximum(tops.reshape(2, -1), -50.0)
+    out = np.empty((2, len(smooth), 4))
+    out[..., 0] = [[1.0], [2.0]]
+    out[..., 1] = np.exp(straight @ np.log(taus))
+    out[..., 2] = np.exp(np.minimum(level @ smooth.T, level.max(axis=1, keepdims=True) + 0.5))
+    out[..., 3] = np.exp(means.reshape(2, -1) @ straight.T)
+    out[..., 2] *= present / out[..., 2].sum()
+    return out.reshape(-1, 4)
+
+
+@cache
+def _fine(nodes: int) -> tuple[Array, Array]:
+    """What makes values on the finer grid of those at so many nodes, `STEPS` from each to the next: natural cubic
+    splines, and straight lines.
+    """
+    places = np.arange(float(nodes))
+    fine = np.linspace(0.0, nodes - 1.0, STEPS * (nodes - 1) + 1)
+    straight = np.array([np.interp(fine, places, row) for row in np.eye(nodes)]).T
+    # second derivatives at the nodes: none at the ends, and no jump of the first one elsewhere
+    bends = np.zeros((nodes, nodes))
+    inner = np.diff(np.eye(nodes), 2, axis=0)
+    bends[1:-1] = np.linalg.solve((inner @ np.eye(nodes)[:, 1:-1]) / 6.0 + np.eye(nodes - 2), inner)
+    # between two nodes the straight line, and what bends by one at one node and by nothing at the other
+    bent = (straight**3 - straight) / 6.0
+    return straight + bent @ bends, straight
+
+
+def _between_places(line: Line) -> Callable[[float], float]:
+    """Evidence of a line between its places: the chord, and a parabola on it that bends by the harmonic mean of what
+    the evidence bends by at both its ends; beyond the ends of the line a parabola that never rises.
+
+    A Gaussian comes out as it is. Where a line falls off steeply on one side, a cubic through four places would swing
+    above them by many times what the evidence says (Amat et al., Found. Comput. Math. 6, 2006).
+    """
+    x, y = line.log_sd.tolist(), line.evidence.tolist()
+    last = len(x) - 1
+    if last < 3:
+        return lambda log_sd: y[min(range(len(x)), key=lambda i: abs(x[i] - log_sd))]
+    slopes = [(y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(last)]
+    bends = [(slopes[i] - slopes[i - 1]) / (x[i + 1] - x[i - 1]) for i in range(1, last)]
+
+    def beyond(away: float, end: int) -> float:
+        bend = bends[end]
+        slope = slopes[end] - bend * (x[-2] - x[-1] if end else x[1] - x[0])
+        return y[end] + away * (max(slope, 0.0) if away < 0.0 else min(slope, 0.0)) + min(bend, 0.0) * away**2
+
+    def evidence(log_sd: float) -> float:
+        if log_sd < x[0] or log_sd > x[-1]:
+            end = 0 if log_sd < x[0] else -1
+            return beyond(log_sd - x[end], end)
+        at = min(max(bisect_right(x, log_sd) - 1, 0), last - 1)
+        two = bends[max(at - 1, 0) : at + 1]
+        bend = len(two) / sum(1.0 / one for one in two) if min(two) * max(two) > 0.0 else 0.0
+        return y[at] + (log_sd - x[at]) * (slopes[at] + (log_sd - x[at + 1]) * bend)
+
+    return evidence
+
+
+def denied(known: Mapping[Place, Line], prior: SlowPrior, node: SlowNode) -> float:
+    """How much less likely than the best slow part this one is, by the evidence of earlier hops (in log-likelihood);
+    0 where there is none of its order and time.
+    """
+    line = known.get((node.order, int(np.argmin(np.abs(prior.taus_s - node.tau_s)))))
+    if line is None:
+        return 0.0
+    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line)(math.log(node.sd))
+
+
+class _Look:
+    """Looks for the peak of one line, and measures the evidence around it.
+
+    Where minus the log-likelihood is wanted, the methods yield the places, and are sent it.
+    """
+
+    def __init__(self, prior: SlowPrior, order: int, tau_s: float, known: Line | None, forgetting: float) -> None:
+        self.known, self.forgetting = known if forgetting else None, forgetting
+        self.before = None if self.known is None else _between_places(self.known)
+        self.evidence: dict[float, float] = {}
+        self.low, self.high = (math.log(limit) for limit in prior.sd_limits)
+        self.centre, self.spread = prior.centre[0], prior.spread
+        self.log_tau = math.log(tau_s)
+        self.most = prior.log_density(order, self.centre, self.log_tau)
+
+    def along(self, places: list[float]) -> Generator[list[float], list[float], list[float]]:
+        """The evidence at these places; what is not yet known is measured together."""
+        keys = [round(place, 6) for place in places]
+        new = [key for key in dict.fromkeys(keys) if key not in self.evidence]
+        if new:
+            values = yield new
+            for key, value in zip(new, values, strict=True):
+                self.evidence[key] = (self.forgetting * self.before(key) if self.before else 0.0) - value
+        return [self.evidence[key] for key in keys]
+
+    def log_prior(self, place: float) -> float:
+        """The log-density of the prior at a place."""
+        return self.most - 0.5 * ((place - self.centre) / self.spread) ** 2
+
+    def at(self, *places: float) -> Generator[list[float], list[float], list[float]]:
+        """The log-posterior at these places."""
+        found = yield from self.along(list(places))
+        return [evidence + self.log_prior(place) for evidence, place in zip(found, places, strict=True)]
+
+    def smallest(self) -> Search:
+        """The line of the smallest size there is."""
+        evidence = yield from self.along([self.low])
+        return Line(np.array([self.low]), np.maximum(evidence, -1e300), self.low, 1.0)
+
+    def line(self, guess: float, sd: float) -> Search:
+        """The line around its peak, which is looked for from a guess of place and width."""
+        if self.known is not None:
+            same = yield from self._same_places(self.known)
+            if same is not None:
+                return same
+        u, step = min(max(guess, self.low), self.high), SPACING * sd
+        value = below = above = 0.0
+        for _ in range(16):
+            below, value, above = yield from self.at(u - step, u, u + step)
+            bend = (2.0 * value - below - above) / step**2
+            if max(below, above) > value:
+                away = math.copysign(2.0 * step, above - below)
+                jump = 0.5 * (above - below) / (step * bend) if bend > 0.0 and math.isfinite(bend) else away
+                moved = min(max(u + min(max(jump, -8.0 * step), 8.0 * step), self.low), self.high)
+                if moved == u or not (yield from self.at(moved))[0] > max(below, above):
+                    moved = u - step if below > above else u + step
+                if not self.low <= moved <= self.high:
+                    break
+                u, step = moved, min(1.6 * step, 1.5)
+                continue
+            if not bend * step**2 > 12.0:
+                break
+            step /= 2.5
+        bend = (2.0 * value - below - above) / step**2
+        width = 1.0 / math.sqrt(max(bend, FLATTEST)) if math.isfinite(bend) else 1.0 / math.sqrt(FLATTEST)
+        offset = 0.5 * (above - below) / step * width**2 if math.isfinite(above - below) else 0.0
+        peak = u + min(max(offset, -step), step)
+        if abs(peak - u) < 0.5 * step and 0.75 < SPACING * width / step < 1.25:
+            peak, width = u, step / SPACING  # what has been measured already will do
+        places = [peak + k * SPACING * width for k in (WIDE if width > WIDTH else AROUND)]
+        evidence = yield from self.along(places)
+        return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
+
+    def _same_places(self, line: Line) -> Generator[list[float], list[float], Line | None]:
+        """The line at its old places, where nothing has to be interpolated; None where these do no longer do."""
+        places = line.log_sd.tolist()
+        values = yield places
+        evidence = [
+            self.forgetting * old - new if new < math.inf else -1e300
+            for old, new in zip(line.evidence.tolist(), values, strict=True)
+        ]
+        self.evidence.update(zip([round(place, 6) for place in places], evidence, strict=True))
+        log = [one + self.log_prior(place) for one, place in zip(evidence, places, strict=True)]
+        top = log.index(max(log))
+        # the sum over places stands for the integral while the curve bends by less than this from one to the next
+        near = 0 < top < len(log) - 1 and log[top] - min(log[top - 1], log[top + 1]) < STEEPEST
+        if not (near and log[top] - max(log[0], log[-1]) > SHALLOWEST):
+            return None
+        return line._replace(evidence=np.array(evidence))

@@ -1,0 +1,207 @@
+"""The slow part of a sensor's error: what is believed of it beforehand, and its states beside the drift.
+
+A window holds a slow error a few times or never, and the drift of the navigation explains it as well: what is not known
+of it has to be carried as variance. So it is always in the model, with a prior from the vehicle file, and never left to
+a fit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.models.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, Sum, block_level
+from navfilter.models.navigation_drift import Drift
+
+__all__ = ["SlowNode", "SlowPrior", "described_blocks", "drift_chain", "slow_belief", "slow_prior"]
+
+Array = NDArray[np.float64]
+
+#: The time constant of a data sheet is that of the whole error; its slow part is about twice as slow.
+SLOWER = 2.0
+
+
+class SlowNode(NamedTuple):
+    """A Gauss-Markov process of first or second order: its standard deviation [unit] and correlation time [s]."""
+
+    order: int
+    sd: float
+    tau_s: float
+
+
+@dataclass(frozen=True)
+class SlowPrior:
+    """What is believed of a slow error before any reading: ``ln sd ~ N(ln(median * sd), spread^2)``, ``ln tau ~ N(ln
+    tau_s, tau_spread^2)`` between two limits, of second order with a given probability; with another one there is none.
+
+    Parameters
+    ----------
+    sd : float
+        Standard deviation of the coloured error in the vehicle file [unit].
+    tau_s : float
+        Its correlation time [s].
+    span_s : float
+        Time that the window holds [s]. Errors quicker than a sixtieth of it are the fast part's.
+    white : float
+        Variance of the white noise beside it in the vehicle file [unit^2].
+    is_hidden : bool
+        Readings tell little of it: see `beside`.
+
+    Attributes
+    ----------
+    median : float
+        A vehicle file states the whole of an error: the mean of the slow part's variance is what is stated. So a
+        lognormal has its median at `exp(-spread^2)`, 0.62.
+    spread : float
+        Standard deviation of ln sd: a data sheet is believed within a factor of two.
+    tau_spread : float
+        Standard deviation of ln tau: time constants are hardly believed, within a factor of seven.
+    second_order : float
+        Probability that it is smooth: of second order.
+    absent : float
+        Probability that there is none.
+    """
+
+    sd: float
+    tau_s: float
+    span_s: float
+    white: float = 0.0
+    is_hidden: bool = False
+    median: float = 2.0 ** -math.log(2.0)
+    spread: float = math.log(2.0)
+    tau_spread: float = 2.0
+    second_order: float = 0.3
+    absent: float = 0.2
+
+    @property
+    def quickest_s(self) -> float:
+        """The fast part's poles are at least this quick, by their natural frequency [s]."""
+        return self.span_s / 60.0
+
+    @cached_property
+    def taus_s(self) -> Array:
+        """Nodes of the correlation time: a fiftieth of the span, and by twos up to two and a half times it [s]."""
+        return self.span_s / 50.0 * 2.0 ** np.arange(8.0)
+
+    @property
+    def sd_limits(self) -> tuple[float, float]:
+        """No slow error is smaller or larger than this [unit]."""
+        return 0.01 * self.sd, 30.0 * self.sd
+
+    def log_density(self, order: int, log_sd: float, log_tau: float) -> float:
+        """Of one node, but for a constant."""
+        off, off_tau = self.offsets(log_sd, log_tau)
+        return self.log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
+
+    def log_densities(self, order: NDArray[np.int64], log_sd: Array, log_tau: Array) -> Array:
+        """Of several nodes, but for a constant, shape (K,)."""
+        centre, centre_tau = self.centre
+        off, off_tau = (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
+        return np.array(self.log_share)[order - 1] - 0.5 * (off * off + off_tau * off_tau)
+
+    @cached_property
+    def log_share(self) -> tuple[float, float]:
+        """ln of the probability of either order."""
+        return math.log(1.0 - self.second_order), math.log(self.second_order)
+
+    @cached_property
+    def centre(self) -> tuple[float, float]:
+        """ln sd and ln tau."""
+        return math.log(self.median * self.sd), math.log(self.tau_s)
+
+    def beside(self, variance: float) -> SlowPrior:
+        """What is believed of one that `is_hidden` where the fast part has this variance [unit^2]: what was described
+        of the whole and is not there is where readings cannot tell.
+        """
+        rest = 1.0 + (self.white - variance) / self.sd**2
+        return replace(self, median=math.sqrt(min(max(rest, self.median**2), 1.0)))
+
+    def log_mass(self) -> float:
+        """Of all nodes, with the constant that `log_density` is without."""
+        off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
+        return math.log(math.sqrt(2.0 * math.pi) * self.spread * float(np.exp(-0.5 * off**2).sum()))
+
+    def offsets(self, log_sd: float, log_tau: float) -> tuple[float, float]:
+        """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""
+        centre, centre_tau = self.centre
+        return (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
+
+
+def described_blocks(model: ErrorModel, period_s: float) -> tuple[Block, ...]:
+    """The parts of an error model of the vehicle file, per sample; random walks in it are the drift's."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    return tuple(part.block(period_s) for part in parts if not isinstance(part, RandomWalk))
+
+
+def slow_prior(
+    model: ErrorModel,
+    period_s: float,
+    span_s: float,
+    is_hidden: bool = False,
+    within: tuple[float, float] | None = None,
+) -> SlowPrior | None:
+    """The prior of the slow part from an error model of the vehicle file; None where it has white noise alone.
+
+    Parameters
+    ----------
+    model : ErrorModel
+        Of the vehicle file; random walks in it are the drift's.
+    period_s : float
+        Of the sensor [s].
+    span_s : float
+        Time that the window holds [s].
+    is_hidden : bool
+        Readings tell little of slow errors.
+    within : (float, float), optional
+        Factors within which the model is believed, as it stands, in standard deviation and correlation time. A model
+        that is quicker than any slow error says nothing of one.
+    """
+    blocks = described_blocks(model, period_s)
+    variance = sum(float(block.C @ block.P0 @ block.C) for block in blocks)
+    if not variance > 0.0:
+        return None
+    # of a Gauss-Markov process S(0) is twice variance times correlation time
+    power = sum(block_level(block) - block.r for block in blocks) * period_s
+    white, sd, tau_s = sum(block.r for block in blocks), math.sqrt(variance), power / (2.0 * variance)
+    if within is None or tau_s < span_s / 50.0:
+        return SlowPrior(sd, max(SLOWER * tau_s, span_s / 50.0), span_s, white, is_hidden)
+    spread, tau_spread = math.log(within[0]), math.log(within[1])
+    return SlowPrior(sd, tau_s, span_s, white, is_hidden, median=1.0, spread=spread, tau_spread=tau_spread)
+
+
+def drift_chain(drift: Drift, unit: float) -> Array:
+    """What the channel kernel wants to know of the drift: states in units per tick, times `unit`; shape (3, r, r).
+
+    Transition over one tick, its noise, covariance of the start (0 where it is diffuse); r is at least 1.
+    """
+    chain = _chain(drift).copy()
+    chain[1:] *= unit**2
+    return chain
+
+
+@lru_cache(64)
+def _chain(drift: Drift) -> Array:
+    r = max(drift.order, 1)
+    out = np.zeros((3, r, r))
+    out[0] = np.eye(r)
+    if drift.order:
+        per_tick = drift.per_tick()
+        out[0], out[1] = Drift(drift.density, 1.0).transition(), per_tick[:r]
+        out[2, range(r), range(r)] = np.where(np.isfinite(per_tick[r]), per_tick[r], 0.0)
+    return out
+
+
+def slow_belief(order: int, prior: SlowPrior | None, period_s: float, log_unit: float) -> Array:
+    """What the channel kernel wants to know of a slow part of this order, see `navfilter.kernels.arma_likelihood`;
+    without a prior each is as likely as any other.
+    """
+    centre, spread, log_share = (0.0, 0.0), (math.inf, math.inf), 0.0
+    if prior is not None and order:
+        centre, spread, log_share = prior.centre, (prior.spread, prior.tau_spread), prior.log_share[order - 1]
+    rate_s = CORRELATION_CONSTANTS[order] * period_s if order else 0.0
+    return np.array([rate_s, log_unit, log_share, centre[0], spread[0], centre[1], spread[1]])

@@ -1,0 +1,303 @@
+"""What is learnt of an inertial unit while it stands still: there its readings are its error, but for constants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.filter import Filter
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.learner_memory import LearnerMemory, memories, recall
+from navfilter.learning.model_reduction import hand_over, plainer
+from navfilter.learning.setup import believed
+from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.models.learned_arma import known_walk, known_white, learned_part, learning_part, with_learned
+from navfilter.models.mechanisation import Imu, Mechanisation
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors import ZeroVelocity
+from navfilter.models.window_limits import LONGEST_GAP
+
+__all__ = ["RestMemory", "RestRecorder", "estimates"]
+
+Array = NDArray[np.float64]
+
+#: A quiet axis scatters less than so many of its believed standard deviations, and its mean stays within as many.
+QUIET = 3.0
+#: What is surely no rest: speed [m/s], mean rate [rad/s], each beyond three standard deviations of what is known of it.
+SLOWEST, STEADIEST = 0.05, 0.02
+#: A velocity that is known no better than this [m/s] says nothing.
+UNKNOWN = 0.2
+#: So many blocks at rest in a row count, but for the first and the last.
+RUN = 3
+#: Without a hop of its own a unit is looked at first when half a window is full, then whenever there is half as much
+#: again, and at least once in so many windows.
+LAZIEST = 10
+PARTS = {"gyro": slice(0, 3), "accel": slice(3, 6)}
+
+
+@dataclass
+class RestMemory:
+    """What is remembered of the samples at rest.
+
+    Attributes
+    ----------
+    ring : ndarray, shape (6, capacity)
+        Samples at rest [rad/s, m/s^2]; the tick with number k stands at ``k % capacity``, NaN between segments.
+    cursor, due, newest : int
+        Ticks kept so far, how many make the next hop due, and how many came with the newest block.
+    block, pending : ndarray, shape (length, 7)
+        The block that is being filled, and the one before it: seconds since the sample before, six values as they
+        arrived.
+    filled, run : int
+        Samples in the block, and blocks at rest in a row.
+    is_open : bool
+        Whether the segment goes on.
+    level : ndarray, shape (6,)
+        Mean of the segment's first block [rad/s, m/s^2].
+    heard : int
+        Ticks that have been learnt from.
+    models, learners
+        As in `navfilter.learning.open_loop_series.ListenerMemory`, for the six axes.
+    """
+
+    SHARED: ClassVar = ("ring",)
+
+    ring: Array
+    cursor: int
+    due: int
+    newest: int
+    block: Array
+    pending: Array
+    filled: int
+    run: int
+    is_open: bool
+    level: Array
+    heard: int
+    models: tuple[ErrorModel, ...]
+    learners: tuple[LearnerMemory | None, ...]
+
+
+class RestRecorder:
+    """Gathers the samples of an inertial unit at rest, and learns the error models of its axes from them.
+
+    At rest a gyro reads the Earth's rate and its error, an accelerometer gravity and its error. Earth's rate and
+    gravity are constant in the axes of a vehicle that does not move, and disappear in the diffuse start of the bias.
+    Nothing of the filter's state enters the series, so no feedback can bias what is learnt. The filter's velocity only
+    serves to refuse samples.
+
+    Rest is judged by blocks of about one second: the velocity is known and not surely above `SLOWEST`, every axis
+    scatters less than `QUIET` believed standard deviations, its mean stays, and no mean rate is surely above
+    `STEADIEST` both as read and less the estimated error of the gyro. A block counts between two others that are at
+    rest too. The velocity has to be known, by a DVL, fixes or `ZeroVelocity`, because an AUV that glides through calm
+    water cannot be told from one at rest by a micromechanical unit (simulated: its slow turns, taken for noise, raise
+    S(0) by factors of 40 to 2000). What remains possible: a vehicle that sways at its mooring by less than these
+    limits. That makes the model larger than the unit's own error, not smaller.
+
+    Parameters
+    ----------
+    drive : Imu
+        As its operator describes it.
+    behind_s : float
+        The filter may go back by so much [s].
+
+    Notes
+    -----
+    Segments of rest follow each other in one series with gaps between them; a gap begins the bias and the error anew.
+    """
+
+    def __init__(self, drive: Mechanisation, behind_s: float) -> None:
+        assert isinstance(drive, Imu)
+        self.period_s = drive.period_s
+        self._unit = 1.0 / drive.period_s if drive.increments else 1.0
+        self.length = max(2, round(drive.rate_hz))
+        self.limits = _limits(drive)
+        parts = [learning_part(model) for model in drive.models]
+        self.window = max(part.window for part in parts if part is not None)
+        given = [part.hop for part in parts if part is not None and part.hop is not None]
+        self.hop = max(4 * self.length, min(given, default=self.window // 4))
+        self._longest_hop = self.hop if given else max(self.hop, LAZIEST * self.window)
+        self._drifts = tuple(Drift((max(known_walk(model), 1e-12),), self.period_s) for model in drive.models)
+        self._white = tuple(known_white(model, self.period_s) for model in drive.models)
+        self._described = drive.models
+        self.learners = tuple(
+            None
+            if part is None
+            else Learner(part.orders, part.window, drift, white=white, prior=believed(part, self.period_s))
+            for part, drift, white in zip(parts, self._drifts, self._white, strict=True)
+        )
+        # beyond the window: what going back writes over, and a few blocks
+        capacity = self.window + (4 + math.ceil(2.0 * behind_s)) * self.length + 64
+        self._memory = RestMemory(
+            ring=np.full((6, capacity), np.nan),
+            cursor=0,
+            due=self.hop if given else max(self.hop, self.window // 2),
+            newest=0,
+            block=np.zeros((self.length, 7)),
+            pending=np.zeros((self.length, 7)),
+            filled=0,
+            run=0,
+            is_open=False,
+            level=np.zeros(6),
+            heard=0,
+            models=drive.models,
+            learners=memories(self.learners),
+        )
+
+    @property
+    def memory(self) -> RestMemory:
+        """All that changes; setting one goes back (or on) to it."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: RestMemory) -> None:
+        if not 0 <= memory.filled <= self.length:
+            raise ValueError(f"a block at rest holds 0 to {self.length} samples, found {memory.filled}.")
+        recall(self.learners, self._memory.learners, memory.learners)
+        self._memory = memory
+
+    def begin_again(self) -> None:
+        """Gather everything again from the start; what has been learnt from is not due again."""
+        memory = self._memory
+        memory.filled = memory.run = memory.cursor = memory.newest = 0
+        memory.is_open = False
+
+    @property
+    def room(self) -> int:
+        """Samples until the block is full."""
+        return self.length - self._memory.filled
+
+    def note(self, samples: Array) -> None:
+        """Take up to `room` samples: rows of the seconds since the sample before, and the six values."""
+        memory = self._memory
+        memory.block[memory.filled : memory.filled + len(samples)] = samples
+        memory.filled += len(samples)
+
+    def close(self, speed: Array, rate: Array) -> bool:
+        """Judge a full block; True when there is enough new for a hop.
+
+        Parameters
+        ----------
+        speed, rate : ndarray, shape (2, 3)
+            Velocity [m/s] and error of the gyros [rad/s] as estimated, each above its standard deviation.
+        """
+        memory = self._memory
+        memory.filled = 0
+        if not self._quiet(speed, rate):
+            memory.run, memory.is_open = 0, False
+            return False
+        mean = memory.block[:, 1:].mean(axis=0) * self._unit
+        if not memory.run or np.any(np.abs(mean - memory.level) > self.limits):
+            memory.run, memory.is_open, memory.level = 0, False, mean
+        memory.run += 1
+        if memory.run >= RUN:
+            self._keep(memory.pending)
+        memory.pending, memory.block = memory.block, memory.pending
+        return memory.cursor >= memory.due
+
+    def _quiet(self, speed: Array, rate: Array) -> bool:
+        memory = self._memory
+        if np.any(speed[1] > UNKNOWN) or np.any(np.abs(speed[0]) > SLOWEST + 3.0 * speed[1]):
+            return False
+        if np.max(memory.block[:, 0]) > (LONGEST_GAP + 0.5) * self.period_s:
+            return False
+        values = memory.block[:, 1:] * self._unit
+        if not np.all(values.std(axis=0) <= self.limits):  # nor where samples are missing
+            return False
+        # where nothing tells the heading, what is estimated of a gyro may be anything: it excuses, and accuses nobody
+        mean = values[:, :3].mean(axis=0)
+        return bool(np.all(np.minimum(np.abs(mean), np.abs(mean - rate[0])) < STEADIEST + 3.0 * rate[1]))
+
+    def _keep(self, block: Array) -> None:
+        """Append a block to the series, on a grid of whole periods."""
+        memory = self._memory
+        count = np.arange(len(block))
+        ticks = np.rint(np.cumsum(block[:, 0]) / self.period_s).astype(np.int64)
+        # stamps may come in bursts: later samples give way, so that none is lost
+        places = np.maximum.accumulate(ticks - count) + count
+        if not memory.is_open and memory.cursor:
+            self._write(np.full((LONGEST_GAP + 1, 6), np.nan))
+        memory.is_open = True
+        first = max(1, int(places[0]))
+        values = np.full((int(places[-1] - places[0]) + first, 6), np.nan)
+        values[places - places[0] + first - 1] = block[:, 1:] * self._unit
+        self._write(values)
+        memory.newest = len(values)
+
+    def _write(self, values: Array) -> None:
+        memory = self._memory
+        capacity = memory.ring.shape[1]
+        values = values[-capacity:]
+        memory.ring[:, np.arange(memory.cursor, memory.cursor + len(values)) % capacity] = values.T
+        memory.cursor += len(values)
+
+    def series(self, axis: int, window: int, without: int = 0) -> Array:
+        """The last ticks at rest of one axis [rad/s or m/s^2], oldest first, without the newest; NaN between
+        segments.
+        """
+        memory = self._memory
+        n = min(memory.cursor, window + without, memory.ring.shape[1])
+        return np.ascontiguousarray(
+            memory.ring[axis, np.arange(memory.cursor - n, memory.cursor - without) % memory.ring.shape[1]]
+        )
+
+    def learn(self) -> dict[str, tuple[ErrorModel, ...]]:
+        """At a hop: the error models to adopt by name, ``gyro`` and ``accel``; only those that are new."""
+        memory = self._memory
+        memory.due = memory.cursor + min(max(self.hop, memory.cursor // 2), self._longest_hop)
+        # the newest block may still change by a reading that comes late
+        fresh, memory.heard = memory.cursor - memory.newest - memory.heard, memory.cursor - memory.newest
+        new = list(memory.models)
+        for axis, learner in enumerate(self.learners):
+            part = learning_part(memory.models[axis])
+            if part is None or learner is None:
+                continue
+            y = self.series(axis, part.window, memory.newest)
+            found = learner.hop(y, fresh)
+            if found is None:
+                continue
+            drift, white, model = self._drifts[axis], self._white[axis], self._described[axis]
+            fast, slow = found.model, found.slow
+            if not slow:
+                fast = plainer(fast, y, drift, white)
+                if known_walk(model):
+                    fast, model = hand_over(fast, model, y, drift, white)
+                    fast = plainer(fast, y, replace(drift, density=(known_walk(model),)), white)
+            joined = sum(slow[1:], start=slow[0]) if slow else None
+            new[axis] = with_learned(model, replace(part, model=fast, slow=joined, spectrum=found.spectrum))
+        before, memory.models = memory.models, tuple(new)
+        memory.learners = memories(self.learners)
+        return {name: memory.models[axes] for name, axes in PARTS.items() if memory.models[axes] != before[axes]}
+
+
+def estimates(filter: Filter) -> tuple[Array, Array]:
+    """Velocity and error of the gyros, each above its standard deviation, shape (2, 3), as of the last time the
+    covariance moved.
+    """
+    C, P, m = filter.drive_output[:3, :-1], filter.P, filter.layout.head
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C), 0.0))
+    speed = np.sqrt(np.maximum(P[range(3, 6), range(3, 6)], 0.0))
+    return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
+
+
+def _limits(drive: Imu) -> Array:
+    """Largest standard deviations of the six axes in a block at rest; where nothing is said of an axis, those of
+    `ZeroVelocity`.
+    """
+    rest, limits = ZeroVelocity(), np.empty(6)
+    given = [*_each(drive.gyro), *_each(drive.accel)]
+    for axis, (model, said) in enumerate(zip(drive.models, given, strict=True)):
+        parts = model.parts if isinstance(model, Sum) else (model,)
+        blocks = [part.block(drive.period_s) for part in parts if not isinstance(part, RandomWalk)]
+        limits[axis] = QUIET * np.sqrt(sum(float(b.r + b.C @ b.P0 @ b.C) for b in blocks))
+        learned = learned_part(said)
+        if learned is not None and said == learned and learned.prior is None and learned.model is None:
+            limits[axis] = max(limits[axis], rest.gyro_sd_max if axis < 3 else rest.force_sd_max)
+    return limits
+
+
+def _each(errors: ErrorModel | tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
+    return (errors,) * 3 if isinstance(errors, ErrorModel) else tuple(errors)

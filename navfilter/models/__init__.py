@@ -1,0 +1,1 @@
+"""What users describe: error models, sensors, mechanisations, vehicle, start, mission; and what runs report."""

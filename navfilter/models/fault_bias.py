@@ -1,0 +1,176 @@
+"""Constants of sensors that have jumped: error models in force get them under way, and lose them again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, per_axis
+
+__all__ = [
+    "Deviation",
+    "Offset",
+    "Proportion",
+    "described",
+    "deviations",
+    "has_offset",
+    "offset_states",
+    "proportions",
+    "wanders",
+    "with_offsets",
+    "with_the_same_offsets",
+]
+
+Errors = ErrorModel | tuple[ErrorModel, ...]
+#: Iron turns a compass by no more than this [rad]: one that is off by more is mounted, or read, the wrong way round.
+DEVIATES = math.radians(60.0)
+
+
+@dataclass(frozen=True)
+class Offset(RandomWalk):
+    """A constant by which a sensor was found to be off while under way, beside its error model.
+
+    Parameters
+    ----------
+    density : float
+        0: it does not wander [unit/sqrt(s)].
+    start_sd : float
+        Standard deviation when it is put in force [unit].
+    """
+
+    density: float = 0.0
+    start_sd: float | None = 0.0
+
+
+@dataclass(frozen=True)
+class Proportion(Offset):
+    """What a velocity sensor was found to be off by, as far as that is in proportion to the speed: a scale that has
+    jumped looks like a constant until the vehicle changes its speed.
+
+    Parameters
+    ----------
+    at_m_s : float
+        The state is the error at this speed [m/s].
+    """
+
+    at_m_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class Deviation(Offset):
+    """What a compass was found to be off by, as far as that goes with the heading: iron that has come near it turns
+    with the vehicle. Of one cycle (National Geospatial-Intelligence Agency, "Handbook of magnetic compass adjustment",
+    2004).
+
+    Parameters
+    ----------
+    of_rad : float
+        The state is the error at this heading; it goes with the cosine of what the heading differs from it by [rad].
+    """
+
+    of_rad: float = 0.0
+
+
+def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
+    return model.parts if isinstance(model, Sum) else (model,)
+
+
+def _plain(model: ErrorModel) -> ErrorModel:
+    rest = [part for part in _parts(model) if not isinstance(part, Offset)]
+    return sum(rest[1:], start=rest[0])
+
+
+def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
+    """Whether the error models of a sensor, one for all axes or one per axis, have an `Offset`."""
+    each = models if isinstance(models, tuple) else (models,)
+    return any(isinstance(part, Offset) for model in each for part in _parts(model))
+
+
+def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
+    """Whether an `Offset` among the error models of a sensor wanders: that of one that has jumped by about itself."""
+    each = models if isinstance(models, tuple) else (models,)
+    return any(isinstance(part, Offset) and part.density > 0.0 for model in each for part in _parts(model))
+
+
+def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> NDArray[np.int64]:
+    """Which states of the error models of a sensor are its offsets, axis by axis, or of one axis only; empty where it
+    has none.
+    """
+    found = [(axis, at) for axis, at, part in _places(models, period_s) if isinstance(part, Offset)]
+    return np.array([at for axis, at in found if only in (None, axis)], dtype=np.int64)
+
+
+def proportions(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Axes and states of each `Proportion`, shape (2, k), and the speed at which it is the error [m/s], shape (k,)."""
+    found = [(axis, at, part.at_m_s) for axis, at, part in _places(models, period_s) if isinstance(part, Proportion)]
+    table = np.array(found, dtype=np.float64).reshape(-1, 3)
+    return table[:, :2].T.astype(np.int64), table[:, 2]
+
+
+def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """States of each `Deviation`, shape (k,), and the heading at which it is the error [rad], shape (k,)."""
+    found = [(at, part.of_rad) for _, at, part in _places(models, period_s) if isinstance(part, Deviation)]
+    table = np.array(found, dtype=np.float64).reshape(-1, 2)
+    return table[:, 0].astype(np.int64), table[:, 1]
+
+
+def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[int, int, ErrorModel]]:
+    """The parts of all models: axis, first state, part."""
+    at = 0
+    for axis, model in enumerate(models):
+        for part in _parts(model):
+            yield axis, at, part
+            at += part.block(period_s).size
+
+
+def with_offsets(
+    models: tuple[ErrorModel, ...],
+    size: float = 0.0,
+    at_m_s: float = 0.0,
+    density: float = 0.0,
+    only: int | None = None,
+    deviates: bool = False,
+) -> tuple[ErrorModel, ...]:
+    """Error models with an `Offset` of this standard deviation each, or of one axis only, which wanders with a density,
+    and beside it a `Proportion` at a speed, or a `Deviation` with the heading (two, where iron may
+    do that); without any where the size is 0.
+
+    Examples
+    --------
+    >>> from navfilter import White
+    >>> str(with_offsets((White(sd=0.1),), 5.0)[0])
+    'White(sd=0.1) + Offset(start_sd=5.0)'
+    """
+    plain = tuple(_plain(model) for model in models)
+    if not size:
+        return plain
+    added: tuple[Offset, ...] = (Offset(density=density, start_sd=size),)
+    added += (Proportion(start_sd=size, at_m_s=at_m_s),) if at_m_s else ()
+    if deviates and size <= DEVIATES:
+        added += tuple(Deviation(start_sd=size, of_rad=of_rad) for of_rad in (0.0, 0.5 * math.pi))
+    return tuple(sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain))
+
+
+def described(
+    models: Iterable[tuple[str, Errors]], axes: Mapping[str, int], others: Mapping[str, Errors]
+) -> dict[str, Errors]:
+    """Error models by sensor without the offsets of those that have so many axes; the rest stay what they are. Of what
+    stands among the others, as it does there, those are taken.
+    """
+    plain = {
+        name: others[name] if name in others else with_offsets(per_axis(e, axes[name], name)) if name in axes else e
+        for name, e in models
+    }
+    return plain | dict(others)
+
+
+def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
+    """New error models with the offsets that the old ones have: who learns them knows nothing of offsets."""
+    pairs = zip(new, old, strict=True)
+    return tuple(
+        sum((part for part in _parts(was) if isinstance(part, Offset)), start=_plain(model)) for model, was in pairs
+    )

@@ -1,0 +1,332 @@
+"""Heading by a compass or a magnetometer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.state_layout import Parameter
+from navfilter.kernels import measurement, open_loop_residual
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors.sensor import LARGEST, Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
+from navfilter.models.start import Start
+
+if TYPE_CHECKING:
+    from navfilter.models.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
+
+__all__ = ["Heading"]
+
+Array = NDArray[np.float64]
+HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
+FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
+#: Elements of the soft iron that are states, in their order.
+SOFT_IRON = ("xx", "zz", "xy", "xz", "yz")
+#: A vehicle keeps its heading for so long and longer [s]; three times more makes no difference to what is found of
+#: deviation, but beside a heading that is hardly known the compass says less.
+LEG_S = 3.0
+#: What iron leaves out counts as the same for so long [s]: a vehicle that goes straight on for half an hour
+#: has the noise of all its readings as one, and would tell iron from heading by what the equation is off.
+STRAIGHT_S = 300.0
+TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
+#: Generous: beyond the worst and the best of instruments on the market.
+USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
+COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
+_PRIOR = COMPASS_ERROR.removeprefix("error = ")
+_LEARNT = f'# learnt under way instead: error = {{model = "learned-arma", prior = {_PRIOR}}}'
+
+
+def with_declination_sd(sensor: Any, magnetic: bool, start: Start) -> Any:
+    """The same heading or attitude with what the model's declination errs by at this place, where that is much."""
+    if not magnetic or sensor.declination_rad is not None or sensor.declination_sd_rad is not None:
+        return sensor
+    from navfilter.models.magnetic import CAUTION_NT, north
+
+    there = north(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
+    return replace(sensor, declination_sd_rad=there.sd) if there.horizontal_nt < CAUTION_NT else sensor
+
+
+def checked_north(kind: str, sensor: Any) -> None:
+    """Refuse an uncertainty of the declination that is none."""
+    sd = sensor.declination_sd_rad
+    if sd is not None and not 0.0 <= sd < math.inf:
+        raise ValueError(f"{kind}.declination_sd_rad must be a finite number >= 0, found {sd!r}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heading(Sensor):
+    """Compass: its heading output [rad], or a three-axis magnetometer levelled with the filter's own attitude.
+
+    Parameters
+    ----------
+    magnetometer : bool
+        The reading is a field vector in b (any unit) instead of a heading.
+    magnetic : bool
+        A heading reading counts from magnetic north; a magnetometer always does.
+    declination_rad : float, optional
+        East positive [rad]. Default: World Magnetic Model at the start's place and date.
+    declination_sd_rad : float, optional
+        Standard deviation of the declination [rad]: it is part of the bias. Default: that of the model where the model
+        gives the declination and the horizontal field is below 6000 nT, its own caution zone; else nothing.
+    bias_sd_rad, deviation_sd_rad, temperature_sd_rad_per_k : float, (2,) float, float
+        Standard deviations of constant states: bias, one- and two-cycle deviation (each a sine and a cosine of the
+        heading), and the drift with temperature (thesis eq 4.1). All zero: no such states.
+    reference_temperature_c : float
+        Temperature at which the temperature term vanishes [deg C].
+    hard_iron, soft_iron : (3,) and (9,) float
+        Calibration of the magnetometer: ``field = soft_iron @ (reading - hard_iron)``, `soft_iron` row by row.
+    hard_iron_sd, soft_iron_sd : float
+        Standard deviations of constant states of a magnetometer: what is left of the hard iron, in units of the
+        calibrated reading, in each axis; and each of the five elements of what is left of the soft iron. Zero: no
+        such states.
+
+    Notes
+    -----
+    A reading may carry a temperature [deg C] as its last element.
+
+    With iron states the field is ``(I + A) (calibrated reading) - h``, A symmetric with yy = -xx: an ellipsoid becomes
+    a sphere, whose size no azimuth shows (Gebre-Egziabher et al., 2006, "Calibration of strapdown magnetometers in
+    magnetic field domain"). Only the azimuth of the levelled field is compared, so that turns show what lies in their
+    plane. What turns A by itself is the bias.
+    """
+
+    error: Errors = White(sd=0.02)
+    magnetometer: bool = False
+    magnetic: bool = False
+    declination_rad: float | None = None
+    declination_sd_rad: float | None = None
+    bias_sd_rad: float = 0.0
+    deviation_sd_rad: tuple[float, float] = (0.0, 0.0)
+    temperature_sd_rad_per_k: float = 0.0
+    reference_temperature_c: float = 20.0
+    hard_iron: Vector = (0.0, 0.0, 0.0)
+    soft_iron: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    hard_iron_sd: float = 0.0
+    soft_iron_sd: float = 0.0
+
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.015, tau_s=30.0) + White(sd=0.005)
+    unit: ClassVar[str] = "rad"
+    open_loop: ClassVar[int] = open_loop_residual.HEADING
+    gives: ClassVar[str] = "heading"
+    corrects: ClassVar[str] = "heading"
+    north: ClassVar[int | None] = 0
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((HEADING,), (FIELD,))
+    beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
+    plausible: ClassVar[Plausible | None] = USUAL
+    template: ClassVar[Example | None] = Example("compass", "Compass, or magnetometer.", 8, (COMPASS_ERROR, _LEARNT))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checked_vector("Heading.hard_iron", self.hard_iron)
+        checked_vector("Heading.soft_iron", self.soft_iron, 9)
+        checked_vector("Heading.deviation_sd_rad", self.deviation_sd_rad, 2)
+        checked_north("Heading", self)
+        for name in ("hard_iron_sd", "soft_iron_sd"):
+            sd = getattr(self, name)
+            if not 0.0 <= sd < math.inf:
+                raise ValueError(f"Heading.{name} must be a finite number >= 0, found {sd!r}.")
+            if sd and not self.magnetometer:
+                raise ValueError(
+                    f"Heading.{name} is for a magnetometer: of a heading output iron is deviation (deviation_sd_deg)."
+                )
+
+    @property
+    def kernel(self) -> Callable[..., None]:  # type: ignore[override]
+        """The measurement kernel."""
+        return measurement.magnetometer if self.magnetometer else measurement.heading
+
+    @property
+    def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
+        """What its equation leaves out: of iron, which is a tenth of the field and more, and of deviation."""
+        if self.magnetometer:
+            return measurement.iron_bend if self.hard_iron_sd or self.soft_iron_sd else measurement.tilt_bend
+        return measurement.deviation_bend if any(self.deviation_sd_rad) else None
+
+    @property
+    def deviation(self) -> int | None:  # type: ignore[override]
+        """Its sine and cosine stand behind the bias."""
+        return 1 if any(self.deviation_sd_rad) else None
+
+    @property
+    def reads(self) -> int:  # type: ignore[override]
+        """Number of elements of a reading without the temperature."""
+        return 3 if self.magnetometer else 1
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Bias, deviation and temperature states, or none; hard iron, soft iron."""
+        constants, (hard, soft) = self._constants(), self._iron()
+        return (
+            *(constants if any(p.sd for p in constants) else ()),
+            *(hard if self.hard_iron_sd else ()),
+            *(soft if self.soft_iron_sd else ()),
+        )
+
+    def _iron(self) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+        """Hard and soft iron that the calibration has left."""
+        hard = tuple(Parameter(f"hard_iron_{axis}", self.hard_iron_sd, "field") for axis in "xyz")
+        return hard, tuple(Parameter(f"soft_iron_{axes}", self.soft_iron_sd, "1") for axes in SOFT_IRON)
+
+    def _constants(self) -> tuple[Parameter, ...]:
+        one, two = self.deviation_sd_rad
+        return (
+            Parameter("bias", self.constant_sd_rad, "rad"),
+            Parameter("one_cycle_sin", one, "rad"),
+            Parameter("one_cycle_cos", one, "rad"),
+            Parameter("two_cycle_sin", two, "rad"),
+            Parameter("two_cycle_cos", two, "rad"),
+            Parameter("temperature", self.temperature_sd_rad_per_k, "rad_per_k"),
+        )
+
+    @property
+    def constant_sd_rad(self) -> float:
+        """Of bias and declination together, which no reading tells from each other [rad]."""
+        return math.hypot(self.bias_sd_rad, self.declination_sd_rad or 0.0)
+
+    def at(self, start: Start) -> Heading:
+        """With what its declination errs by at this place."""
+        return with_declination_sd(self, self.magnetic or self.magnetometer, start)
+
+    def declination(self, start: Start) -> float:
+        """Magnetic declination in force [rad]; 0 for a compass that reads true heading."""
+        if not (self.magnetic or self.magnetometer):
+            return 0.0
+        if self.declination_rad is not None:
+            return self.declination_rad
+        from navfilter.models.magnetic import declination
+
+        return declination(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
+
+    def constants(self, start: Start) -> Array:
+        """Declination and reference temperature, where among the states hard and soft iron begin (-1 for none), and how
+        many readings share what the equation leaves out of deviation and of iron.
+        """
+        names, iron = [p.name for p in self.parameters()], ("hard_iron_x", f"soft_iron_{SOFT_IRON[0]}")
+        begins = [names.index(first) if self.magnetometer and first in names else -1 for first in iron]
+        shared = [max(1.0, seconds * self.rate_hz) for seconds in (LEG_S, STRAIGHT_S)]
+        return np.array([self.declination(start), self.reference_temperature_c, *begins, *shared])
+
+    def read(self, value: Array) -> Array | None:
+        """Apply the iron calibration; append NaN where there is no temperature."""
+        n, given = self.reads, value.tolist()
+        for v in given[:n]:
+            if not abs(v) <= LARGEST:
+                return None
+        z = np.array([*given, math.nan][: n + 1])
+        if self.magnetometer:
+            z[:3] = np.reshape(self.soft_iron, (3, 3)) @ (z[:3] - np.asarray(self.hard_iron))
+            return z if z[:3].any() else None
+        return z
+
+    @property
+    def plain(self) -> tuple[float, int]:
+        """A heading, and no temperature."""
+        otherwise = self.magnetometer or type(self).read is not Heading.read
+        return (0.0, 0) if otherwise else (LARGEST, self.reads + 1)
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """Headings at once; fields one by one."""
+        otherwise = self.magnetometer or type(self).read is not Heading.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
+            return super().read_all(values)
+        z = np.full((len(values), 2), math.nan)
+        z[:, : values.shape[1]] = values[:, :2]
+        return z, np.abs(z[:, 0]) <= LARGEST
+
+    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float, float]:
+        """True headings by readings (n, ...) of a vehicle that is level by this rotation (3, 3) out of b, the variance
+        of their mean [rad], [rad^2], and by how much a tilt turns them [rad/rad].
+        """
+        variance, dip = sum(p.sd**2 for p in self.at(start)._constants()[:5]), 0.0
+        if self.magnetometer:
+            field = readings[:, :3] @ level.T
+            angles = -np.arctan2(field[:, 1], field[:, 0])
+            across = float(np.mean(np.hypot(field[:, 0], field[:, 1])))
+            dip = abs(float(np.mean(field[:, 2]))) / across
+            variance += (self.hard_iron_sd / across) ** 2 + self.soft_iron_sd**2 * (1.0 + dip**2)
+        else:
+            angles = readings[:, 0]
+        return angles + self.declination(start), variance + self.mean_variance(0, len(readings)), dip
+
+    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+        """As a heading."""
+        return drive.heading_drift(walk, 1.0 / self.rate_hz)
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "magnetometer" if self.magnetometer else "heading"
+
+    def stream_columns(self) -> tuple[str, ...]:
+        """Heading or field."""
+        return FIELD.names if self.magnetometer else HEADING.names
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Of bias, deviation, declination and iron."""
+        for name, value in (("bias_sd_rad", self.bias_sd_rad), ("deviation_sd_rad", max(self.deviation_sd_rad))):
+            if value > math.radians(60.0):
+                yield angle_doubt(name, value)
+        if self.declination_rad is not None and abs(self.declination_rad) > math.pi:
+            yield angle_doubt("declination_rad", self.declination_rad)
+        if self.soft_iron_sd > 0.5:
+            text = f"a soft iron of {100.0 * self.soft_iron_sd:.3g} % is unusual."
+            yield Doubt("soft_iron_sd", text, "It is a pure number: 5 % is 0.05.")
+        iron = zip(("hard", "soft"), (self.hard_iron_sd, self.soft_iron_sd), self.deviation_sd_rad, strict=True)
+        for cycles, (kind, sd, deviation) in enumerate(iron, 1):
+            if sd and deviation:
+                cycle = "one cycle" if cycles == 1 else "two cycles"
+                text = f"in level turns {kind} iron is a deviation of {cycle}: two states for one thing."
+                yield Doubt("deviation_sd_rad", text, f"Leave out {kind}_iron_sd, or set that deviation to 0.")
+
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
+        """Deviation (bias, sine and cosine of the heading and of its double), drift with temperature, iron."""
+        *deviation, temperature = self._constants()
+        hard, soft = self._iron()
+        return {"deviation": tuple(deviation), "temperature": (temperature,), "hard_iron": hard, "soft_iron": soft}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""
+        declination = 0.0
+        if self.magnetic or self.magnetometer:
+            north, east, _ = truth.field_n()
+            declination = math.atan2(east, north) if self.declination_rad is None else self.declination_rad
+        from_north = here.attitude[:, 2] - declination
+        temperature = truth.water_temperature_c(here)
+        warmth = temperature - self.reference_temperature_c
+        error = truth.error[:, 0] + truth.deviation(from_north) + truth.drawn["temperature"][0] * warmth
+        if self.magnetometer:
+            value = self._simulated_field(here, declination, error, truth)
+            columns: tuple[str, ...] = ("field_x", "field_y", "field_z")
+        else:
+            value, columns = (np.pi - np.mod(np.pi - (from_north + error), 2.0 * np.pi))[:, None], ("heading_rad",)
+        if self.temperature_sd_rad_per_k or truth.drawn["temperature"][0]:
+            return np.column_stack([value, temperature]), (*columns, "temperature_c")
+        return value, columns
+
+    def _simulated_field(self, here: Kinematics, declination: float, error: Array, truth: Truth) -> Array:
+        """Field in body axes that shows this error: a compass that reads too high sees north too far to the left."""
+        azimuth, field_n = declination - error, truth.field_n()
+        level = math.hypot(field_n[0], field_n[1])
+        down = np.full_like(azimuth, field_n[2])
+        field = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), down], axis=-1)
+        xx, zz, xy, xz, yz = truth.drawn["soft_iron"]
+        left = np.linalg.inv([[1.0 + xx, xy, xz], [xy, 1.0 - xx, yz], [xz, yz, 1.0 + zz]])
+        reading = (np.einsum("nij,ni->nj", here.C_nb, field) + truth.drawn["hard_iron"]) @ left.T
+        return reading @ np.linalg.inv(np.reshape(self.soft_iron, (3, 3))).T + np.asarray(self.hard_iron)
+
+    @classmethod
+    def examples(cls) -> tuple[Sensor, ...]:
+        """Compasses without and with deviation, and a magnetometer."""
+        error = White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)
+        return (
+            cls(error=error),
+            cls(error=error, deviation_sd_rad=(0.02, 0.01)),
+            cls(magnetometer=True, error=error, hard_iron_sd=1e-6, soft_iron_sd=0.01),
+        )

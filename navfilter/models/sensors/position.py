@@ -1,0 +1,240 @@
+"""Position fixes, and depth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.state_layout import Parameter
+from navfilter.kernels import measurement, open_loop_residual
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors.sensor import LARGEST, Errors, Reading, Sensor, Vector
+from navfilter.models.sensors.traits import Columns, Example, Plausible
+from navfilter.models.start import Start
+
+if TYPE_CHECKING:
+    from navfilter.models.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
+
+__all__ = ["Depth", "Position"]
+
+Array = NDArray[np.float64]
+DEPTH = Columns("depth", ("depth_m",), ("length",))
+PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))
+POSITION = Columns(
+    "position",
+    ("latitude_rad", "longitude_rad", "height_m"),
+    ("angle", "angle", "length"),
+    circular=("longitude_rad",),
+    least=2,
+)
+#: No vehicle that navigates by these sensors is higher, or deeper [m].
+HIGHEST_M = 1e5
+HDOP = Columns("hdop", ("hdop",), ("number",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Depth(Sensor):
+    """Depth below the surface [m, positive down], or the absolute pressure [Pa] it is computed from.
+
+    Parameters
+    ----------
+    lever_arm_b_m : (3,) float
+        From the reference point to the sensor, in b [m].
+    pressure : bool
+        Readings are absolute pressures [Pa], turned into depth by TEOS-10 (IOC, SCOR, IAPSO, 2010).
+    atmospheric_pressure_pa : float
+        Taken off the pressure [Pa].
+    latitude_deg : float, optional
+        For the pressure conversion; default 45 degrees (the depth changes by 0.5 % from equator to pole).
+    surface_height_m : float
+        Height of the water surface in the height system of the mission [m].
+    offset_sd_m : float
+        Standard deviation of an unknown constant offset [m]; 0 leaves the state out.
+    """
+
+    error: Errors = White(sd=0.1)
+    lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
+    pressure: bool = False
+    atmospheric_pressure_pa: float = 101325.0
+    latitude_deg: float = 45.0
+    surface_height_m: float = 0.0
+    offset_sd_m: float = 0.0
+
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.05, tau_s=10.0) + White(sd=0.05)
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.depth)
+    confirms_state: ClassVar[bool] = False
+    open_loop: ClassVar[int] = open_loop_residual.POSITION
+    gives: ClassVar[str] = "depth"
+    corrects: ClassVar[str] = "depth"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((DEPTH,), (PRESSURE,))
+    plausible: ClassVar[Plausible | None] = Plausible(1e-4, 10.0, "cm", most_rate_hz=200.0)
+    template: ClassVar[Example | None] = Example(
+        "depth", "Depth gauge.", 1, ('error = {model = "white", sd = 0.05}',), (0.2, 0.0, -0.1)
+    )
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The offset, or none."""
+        return (Parameter("offset", self.offset_sd_m, "m"),) if self.offset_sd_m else ()
+
+    def constants(self, start: Start) -> Array:
+        """Lever arm and height of the surface."""
+        return np.array([*self.lever_arm_b_m, self.surface_height_m], dtype=float)
+
+    def read(self, value: Array) -> Array | None:
+        """Pressure to depth where that is what arrives."""
+        if not abs(value[0]) <= LARGEST:
+            return None
+        if not self.pressure:
+            return value[:1]
+        from gsw import z_from_p
+
+        return np.array([-float(z_from_p((value[0] - self.atmospheric_pressure_pa) * 1e-4, self.latitude_deg))])
+
+    @property
+    def plain(self) -> tuple[float, int]:
+        """A depth."""
+        return (0.0, 0) if self.pressure or type(self).read is not Depth.read else (LARGEST, 1)
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """Depths at once; pressures one by one."""
+        if self.pressure or type(self).read is not Depth.read or not isinstance(values, np.ndarray):
+            return super().read_all(values)
+        return np.ascontiguousarray(values[:, :1]), np.abs(values[:, 0]) <= LARGEST
+
+    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+        """As a vertical position."""
+        return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=True)
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "depth from absolute pressure" if self.pressure else "depth"
+
+    def stream_columns(self) -> tuple[str, ...]:
+        """Depth or pressure."""
+        return PRESSURE.names if self.pressure else DEPTH.names
+
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
+        """The offset."""
+        return {"offset": (Parameter("offset", self.offset_sd_m, "m"),)}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Depth of the instrument below the surface, or the absolute pressure there."""
+        lever_down = here.C_nb[:, 2, :] @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
+        below = truth.surface_height_m - here.height + lever_down + truth.drawn["offset"][0] + truth.error[:, 0]
+        if not self.pressure:
+            return below[:, None], ("depth_m",)
+        from gsw import p_from_z
+
+        pressure = self.atmospheric_pressure_pa + 1e4 * p_from_z(-below, np.degrees(here.latitude))
+        return pressure[:, None], ("pressure_pa",)
+
+    @classmethod
+    def examples(cls) -> tuple[Sensor, ...]:
+        """A depth, and a pressure to be converted."""
+        return cls(), cls(pressure=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Position(Sensor):
+    """Position fix (GPS, USBL): latitude, longitude [rad], height [m], optionally the HDOP as fourth element.
+
+    Parameters
+    ----------
+    lever_arm_b_m : (3,) float
+        From the reference point to the antenna, in b [m].
+    max_hdop : float
+        Fixes with a greater HDOP are not readings (thesis, 4.3.1: 4).
+    antenna_height_m : float, optional
+        Where the antenna is whenever there is a fix, in the height system of the mission [m]: above the water, where
+        the surface is 0. It takes the place of the height of each fix; the error down is then that of this height.
+
+    Notes
+    -----
+    Errors are in metres north, east, down. A NaN height is a 2-D fix.
+
+    No fix is had under water. With `antenna_height_m` each one says so, and each surfacing tells a depth gauge its
+    `offset_sd_m`. Trim, waves and the tide keep the antenna off that height for longer than from fix to fix: give the
+    error down the time in which they change.
+
+    A receiver without a fix yet says latitude 0, longitude 0: exactly that is no reading. A vehicle near there loses
+    nothing, for fixes that are both exactly 0 do not happen to it.
+    """
+
+    error: Errors = White(sd=3.0)
+    lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
+    max_hdop: float = 4.0
+    antenna_height_m: float | None = None
+
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=3.0, tau_s=60.0) + White(sd=1.0)
+    axes: ClassVar[int] = 3
+    reads: ClassVar[int] = 3
+    axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.position)
+    open_loop: ClassVar[int] = open_loop_residual.POSITION
+    gives: ClassVar[str] = "position"
+    corrects: ClassVar[str] = "position"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POSITION,),)
+    beside: ClassVar[tuple[Columns, ...]] = (HDOP,)
+    plausible: ClassVar[Plausible | None] = Plausible(
+        3e-3, 1000.0, "", most_rate_hz=50.0, hint="Errors of fixes are in metres, not in degrees or radians."
+    )
+    template: ClassVar[Example | None] = Example(
+        "gps", "Position fixes.", 1, ('error = {model = "gauss-markov", sd = 3.0, tau_s = 60}',), (-0.4, 0.0, -0.2)
+    )
+
+    @property
+    def words(self) -> str:
+        """What it measures, and what takes the place of its height."""
+        height = self.antenna_height_m
+        return "position" if height is None else f"position, the antenna at a height of {height:g} m"
+
+    def constants(self, start: Start) -> Array:
+        """The lever arm."""
+        return np.asarray(self.lever_arm_b_m, dtype=float)
+
+    def read(self, value: Array) -> Array | None:
+        """None for a fix without latitude or longitude, off the globe or far above it, at 0, 0, or of poor geometry."""
+        if (len(value) > 3 and value[3] > self.max_hdop) or value[0] == 0.0 == value[1]:
+            return None
+        if not (abs(value[0]) <= math.pi / 2 and abs(value[1]) <= 2 * math.pi) or abs(value[2]) > HIGHEST_M:
+            return None
+        if self.antenna_height_m is None:
+            return np.ascontiguousarray(value[:3])
+        return np.array([value[0], value[1], self.antenna_height_m])
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """The same of many."""
+        otherwise = type(self).read is not Position.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
+            return super().read_all(values)
+        north, east, up = values.T[:3]
+        poor = ((north == 0.0) & (east == 0.0)) | (np.abs(up) > HIGHEST_M)
+        if values.shape[1] > 3:
+            poor |= values[:, 3] > self.max_hdop
+        z = np.array(values[:, :3], dtype=np.float64)
+        if self.antenna_height_m is not None:
+            z[:, 2] = self.antenna_height_m
+        good = ~poor & (np.abs(north) <= math.pi / 2) & (np.abs(east) <= 2 * math.pi)
+        z[~good] = math.nan
+        return z, good
+
+    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+        """As a position, down being the third axis."""
+        return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Latitude, longitude, height of the antenna, and the HDOP if there is one."""
+        lever_n = here.C_nb @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
+        value = np.stack(here.displaced(lever_n + truth.error), axis=-1)
+        if truth.hdop is None:
+            return value, POSITION.names
+        return np.column_stack([value, truth.hdop]), (*POSITION.names, *HDOP.names)

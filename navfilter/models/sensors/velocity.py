@@ -1,0 +1,403 @@
+"""Velocity over ground, velocity through the water, and the zero velocity of a vehicle at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.state_layout import Parameter, hidden_states
+from navfilter.kernels import measurement, open_loop_residual
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.learned_arma import learning_part
+from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_sds, checked_vector
+from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
+from navfilter.models.start import Start
+from navfilter.models.state import matrix_from_euler
+
+if TYPE_CHECKING:
+    from navfilter.models.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
+
+__all__ = ["BodyVelocity", "WaterVelocity", "ZeroVelocity"]
+
+Array = NDArray[np.float64]
+VELOCITY = Columns("velocity", ("v_x_m_s", "v_y_m_s", "v_z_m_s"), ("speed",) * 3)
+#: Generous: beyond the worst and the best of instruments on the market.
+USUAL = Plausible(1e-4, 0.5, "cm_per_s", most_rate_hz=100.0)
+#: A current changes by no more than this within minutes, on the way through a shear layer or an eddy [m/s]; what comes
+#: to be off by more has another cause.
+FLOWS_M_S = 1.0
+#: Wheels that turn slower than this stand: what is left is the noise of what counts them [m/s].
+STILL_M_S = 0.05
+DVL_ERROR = 'error = {model = "white", sd = 0.01}'
+#: So many standard deviations a mounting may be turned by while nobody knows it [1]. Noise of the gyros moves an
+#: instrument across its arm only, and one that reads mm/s would be exact along it: of such a DVL 2 m off a
+#: micromechanical unit the mounting was 34, 25 and 10 standard deviations off; by 1 13, 18 and 8, by this 4, 8 and 3.
+ASTRAY = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyVelocity(Sensor):
+    """Velocity over ground in instrument axes [m/s]: a DVL in bottom track, or wheels (constant zeros for the axes that
+    cannot slip).
+
+    Parameters
+    ----------
+    lever_arm_b_m : (3,) float
+        From the reference point (the inertial unit) to the instrument, in b [m].
+    mounting_rad : (3,) float
+        Roll, pitch, yaw of the instrument's axes in b [rad]: ``v_b = C(mounting) v_instrument``.
+    scale_sd : float or (3,) float
+        Standard deviation of an unknown constant scale error: one number, one scale for all axes; three numbers, one
+        for each. 0 leaves the scale and misalignment states out unless `misalignment_sd_rad` is set.
+    misalignment_sd_rad : float or (3,) float
+        Standard deviation of the unknown constant mounting error, about all axes or about each [rad].
+    zero_is_invalid : bool
+        Exactly zero on all axes is what instruments print when they have lost the bottom; set False for wheels.
+    max_speed_m_s : float
+        A component above it is a sentinel or an error, not a reading.
+
+    Notes
+    -----
+    ``reading = (1 + s) R(m) y + error`` with ``y`` the velocity of the instrument in its own axes, lever arm
+    included, and ``1 + s`` a number or a diagonal matrix. Scale and misalignment can only be told from the vehicle's
+    motion by position fixes.
+    """
+
+    error: Errors = White(sd=0.01)
+    lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
+    mounting_rad: Vector = (0.0, 0.0, 0.0)
+    scale_sd: float | Vector = 0.0
+    misalignment_sd_rad: float | Vector = 0.0
+    zero_is_invalid: bool = True
+    max_speed_m_s: float = 20.0
+
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.01, tau_s=5.0) + White(sd=0.01)
+    unit: ClassVar[str] = "m_s"
+    axes: ClassVar[int] = 3
+    reads: ClassVar[int] = 3
+    axis_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.body_velocity)
+    sees_velocity: ClassVar[bool] = True
+    open_loop: ClassVar[int] = open_loop_residual.VELOCITY
+    gives: ClassVar[str] = "velocity"
+    ground: ClassVar[int] = 3
+    corrects: ClassVar[str] = "velocity"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((VELOCITY,),)
+    plausible: ClassVar[Plausible | None] = USUAL
+    template: ClassVar[Example | None] = Example(
+        "dvl", "DVL in bottom track, or wheels.", 4, (DVL_ERROR,), (0.5, 0.0, 0.1)
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checked_vector("BodyVelocity.lever_arm_b_m", self.lever_arm_b_m)
+        checked_vector("BodyVelocity.mounting_rad", self.mounting_rad)
+        for name in ("scale_sd", "misalignment_sd_rad"):
+            checked_sds(f"{type(self).__name__}.{name}", getattr(self, name))
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Scale (or one an axis) and three misalignments, or none."""
+        return self.calibration()
+
+    @property
+    def still_m_s(self) -> float:
+        """Wheels that stand do not err, and neither do axes that cannot slip."""
+        return 0.0 if self.zero_is_invalid else STILL_M_S
+
+    def held(self) -> tuple[int, int]:
+        """Scale and misalignment."""
+        last = len(self.parameters())
+        return last - len(self.calibration()), last
+
+    def calibration(self) -> tuple[Parameter, ...]:
+        """Those of the instrument itself, where they are uncertain."""
+        scales, angles = self._scales_and_angles()
+        return scales + angles if any(p.sd for p in scales + angles) else ()
+
+    def _scales_and_angles(self) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+        scales = checked_sds("scale_sd", self.scale_sd)
+        angles = checked_sds("misalignment_sd_rad", self.misalignment_sd_rad)
+        each = [f"scale_{axis}" for axis in "xyz"] if len(scales) == 3 else ["scale"]
+        return (
+            tuple(Parameter(name, sd, "1") for name, sd in zip(each, scales, strict=True)),
+            tuple(Parameter(f"misalignment_{'xyz'[i]}", angles[i % len(angles)], "rad") for i in range(3)),
+        )
+
+    def constants(self, start: Start) -> Array:
+        """Lever arm, then the mounting matrix row by row."""
+        return np.concatenate(
+            [np.asarray(self.lever_arm_b_m, dtype=float), matrix_from_euler(*self.mounting_rad).ravel()]
+        )
+
+    def read(self, value: Array) -> Array | None:
+        """Mask components that cannot be velocities; None when none is left."""
+        top, moving, valid, clean = self.max_speed_m_s, False, False, True
+        components = value[:3].tolist()
+        for c in components:
+            if -top <= c <= top:
+                valid, moving = True, moving or c != 0.0
+            else:
+                clean = False
+        if not valid or (self.zero_is_invalid and not moving):
+            return None
+        return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
+
+    @property
+    def plain(self) -> tuple[float, int]:
+        """All three components."""
+        return (0.0, 0) if type(self).read is not BodyVelocity.read or self.reads != 3 else (self.max_speed_m_s, 3)
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """The same of many."""
+        otherwise = type(self).read is not BodyVelocity.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
+            return super().read_all(values)
+        z = np.array(values[:, :3], dtype=np.float64)
+        valid = np.abs(z) <= self.max_speed_m_s
+        z[~valid] = math.nan
+        told = valid & (z != 0.0) if self.zero_is_invalid else valid
+        return z, np.asarray(told.any(axis=1), dtype=bool)
+
+    @property
+    def needs_rate(self) -> bool:
+        """With a lever arm."""
+        return any(self.lever_arm_b_m)
+
+    def lever_arm_covariance(self, rate_variance: Array) -> Array:
+        """Strongly correlated (a rate moves the arm across itself), which counts where the instrument is quiet; of what
+        is not known of the arm the mean, and as much along it as a mounting that is not known turns there.
+        """
+        axes, arm = self.instrument_axes(), np.asarray(self.lever_arm_b_m, dtype=float)
+        by_rate, square = np.cross(np.eye(3), arm).T, np.square(self.lever_arm_sd_m)
+        unknown = rate_variance @ np.array([np.cross(axis, np.eye(3)) ** 2 @ square for axis in np.eye(3)])
+        moved = by_rate @ np.diag(rate_variance) @ by_rate.T + np.diag(unknown)
+        angles = ASTRAY * np.resize(self.misalignment_sd_rad, 3)
+        turns = [
+            np.cross(np.eye(3), a * axis) for a, axis in zip(angles, BodyVelocity.instrument_axes(self), strict=True)
+        ]
+        return axes @ (moved + sum(turn @ moved @ turn.T for turn in turns)) @ axes.T
+
+    def instrument_axes(self) -> Array:
+        """Those of the mounting."""
+        return matrix_from_euler(*self.mounting_rad).T
+
+    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+        """As a velocity: the third axis is taken as the vertical one."""
+        return drive.velocity_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Of mounting, misalignment and scale."""
+        if max(map(abs, self.mounting_rad)) > 2.0 * math.pi:
+            yield angle_doubt("mounting_rad", max(self.mounting_rad, key=abs))
+        most = max(checked_sds("misalignment_sd_rad", self.misalignment_sd_rad))
+        if most > math.radians(20.0):
+            yield angle_doubt("misalignment_sd_rad", most)
+        most = max(checked_sds("scale_sd", self.scale_sd))
+        if most > 0.2:
+            yield Doubt(
+                "scale_sd",
+                f"a scale error of {100.0 * most:.4g} % is unusual.",
+                "It is a pure number: 1 % is 0.01.",
+            )
+
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
+        """Scale, and the rotation vector of the misalignment."""
+        scales, angles = self._scales_and_angles()
+        return {"scale": scales, "misalignment": angles}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Velocity of the instrument in its own axes, over ground or through water that moves."""
+        from scipy.spatial.transform import Rotation  # only a simulation needs it
+
+        lever = np.asarray(self.lever_arm_b_m, dtype=np.float64)
+        v_b = np.einsum("nij,ni->nj", here.C_nb, here.velocity_n - truth.current_n) + np.cross(here.rate_eb_b, lever)
+        mounting = Rotation.from_euler("ZYX", self.mounting_rad[::-1])
+        v = truth.turned_and_scaled(mounting.inv().apply(v_b))
+        return v + truth.error, self.stream_columns()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterVelocity(BodyVelocity):
+    """Velocity through the water in instrument axes [m/s]: a DVL in water track, or an electromagnetic log.
+
+    The horizontal current is two states, north and east, so that what is known of it carries the position while there
+    is nothing else.
+
+    Parameters
+    ----------
+    current_sd_m_s : float
+        Standard deviation of each component of the current [m/s].
+    current_tau_s : float
+        Its correlation time [s]: in dt << tau the current changes by ``sd * sqrt(2 dt / tau)``.
+    current : ErrorModel, optional
+        How each component wanders [m/s], instead: of second order, or with a tide, ``GaussMarkov(sd=0.1, tau_s=86400) +
+        Cycle(sd=0.15, period_s=44714, tau_s=1e6)``.
+
+    Notes
+    -----
+    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. Without `current` it
+    wanders as a first-order Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for
+    error. What this sensor itself errs by at low frequencies cannot be told from the current, so that its error is not
+    learnt.
+    """
+
+    error: Errors = White(sd=0.02)
+    current_sd_m_s: float = 0.3
+    current_tau_s: float = 3600.0
+    current: ErrorModel | None = None
+
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
+    open_loop: ClassVar[int] = open_loop_residual.NOTHING
+    gives: ClassVar[str] = ""
+    flows_m_s: ClassVar[float] = FLOWS_M_S
+    template: ClassVar[Example | None] = Example(
+        "water",
+        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current "
+        "carries on.",
+        4,
+        ('error = {model = "white", sd = 0.02}',),
+        (0.5, 0.0, 0.1),
+        live=False,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("current_sd_m_s", "current_tau_s"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(
+                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, "
+                    "3600 s."
+                )
+        if self.current is not None:
+            self._check_current()
+        if any(learning_part(model) is not None for model in self.models):
+            raise ValueError(
+                "WaterVelocity.error cannot be learnt under way: the current hides in it. Give it a fixed error model, "
+                "or a LearnedArma with frozen=True."
+            )
+
+    def _check_current(self) -> None:
+        """Refuse what cannot be a state."""
+        block = self.current.block(1.0 / self.rate_hz) if isinstance(self.current, ErrorModel) else None
+        if block is None or not block.size or block.r or not block.C[0]:
+            raise ValueError(
+                f"WaterVelocity.current must be one error model without white noise, found {self.current!r}. Example: "
+                "GaussMarkov(sd=0.2, tau_s=10800). White noise of the velocity belongs to error."
+            )
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Current north and east, what else their models consist of, then scale and misalignment where they are
+        uncertain.
+        """
+        blocks = {name: model.block(1.0 / self.rate_hz) for name, model in self.wandering().items()}
+        sds = ((name, math.sqrt(block.C @ block.P0 @ block.C)) for name, block in blocks.items())
+        current = (Parameter(name, sd, "m_s") for name, sd in sds)
+        hidden = (p for name, block in blocks.items() for p in hidden_states(name, block, "m_s"))
+        return (*current, *hidden, *super().parameters())
+
+    def constants(self, start: Start) -> Array:
+        """Also how many states are of the current."""
+        return np.concatenate([super().constants(start), [self.held()[0]]])
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """The current."""
+        current = self.current or GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
+        return {"current_north": current, "current_east": current}
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "velocity through the water"
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Also of the current."""
+        yield from super().doubts()
+        if self.current_sd_m_s > 3.0:
+            text = f"a current of {self.current_sd_m_s:.4g} m/s is faster than all but the strongest tidal streams."
+            yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
+        if self.current_tau_s < 60.0:
+            text = f"a current that is another one after {self.current_tau_s:.3g} s carries no position."
+            yield Doubt(
+                "current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZeroVelocity(Sensor):
+    """Zero-velocity update: the navigator itself detects rest from the inertial unit; there is no stream of readings.
+
+    Parameters
+    ----------
+    gyro_sd_max, force_sd_max : float
+        Rest is when, over one period of this sensor, every gyro axis scatters less than this [rad/s] and every
+        accelerometer axis less [m/s^2].
+    gyro_mean_max : float
+        ... and every mean rate is below this [rad/s] (estimated bias and Earth rate are within it).
+    speed_max : float, optional
+        ... and the filter itself believes in a speed below this [m/s]. For vehicles whose running engine shakes them as
+        much at rest as under way, with a sensor that tells their speed.
+
+    Raises
+    ------
+    ValueError
+        For a limit that nothing is below.
+
+    Notes
+    -----
+    For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the
+    same to its inertial unit: do not use it there. The mean rate at rest tells the bias of the gyros: `ZeroRate`.
+    """
+
+    error: Errors = White(sd=0.02)
+    gyro_sd_max: float = 0.005
+    force_sd_max: float = 0.05
+    gyro_mean_max: float = 0.02
+    speed_max: float | None = None
+
+    unit: ClassVar[str] = "m_s"
+    axes: ClassVar[int] = 3
+    reads: ClassVar[int] = 3
+    axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.velocity)
+    from_drive: ClassVar[bool] = True
+    corrects: ClassVar[str] = "velocity"
+    plausible: ClassVar[Plausible | None] = USUAL
+    template: ClassVar[Example | None] = Example(
+        "still",
+        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV "
+        "under way.",
+        1,
+        ('error = {model = "white", sd = 0.02}',),
+        live=False,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("gyro_sd_max", "force_sd_max", "gyro_mean_max", "speed_max"):
+            limit = getattr(self, name)
+            if limit is not None and not limit > 0:
+                text = f"{type(self).__name__}.{name} must be > 0, found {limit!r}: nothing is below it."
+                raise ValueError(text)
+
+    def quiet(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> bool:
+        """Whether a period was one of rest, see `felt`."""
+        still = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
+        slow = self.speed_max is None or math.hypot(*velocity.tolist()) < self.speed_max
+        return bool(still and slow and np.abs(mean[:3]).max() < self.gyro_mean_max)
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "zero velocity, whenever the inertial unit says that the vehicle rests; needs no stream"
+
+    def felt(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> Array | None:
+        """Zeros when the period was quiet."""
+        return np.zeros(3) if self.quiet(mean, scatter, velocity, P) else None

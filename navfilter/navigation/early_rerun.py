@@ -1,0 +1,224 @@
+"""The beginning done again with models that were learnt from it: by the run itself, or by a twin of it on the learning
+thread, whose place the run then takes.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.imu_intake import joined
+from navfilter.foundation.state_values import copied
+from navfilter.learning.background import Task, Worker
+from navfilter.learning.learning_memory import Again, LearningMemory
+from navfilter.navigation.history import Reading
+from navfilter.navigation.passage_again import PassageAgain
+
+if TYPE_CHECKING:
+    from navfilter.navigation.navigator import Navigator
+
+__all__ = ["Beginning"]
+
+Array = NDArray[np.float64]
+
+
+class Beginning:
+    """Adopts the early models of a run, and does its beginning again where they are others.
+
+    Parameters
+    ----------
+    nav : Navigator
+    worker : Worker
+        With threads a twin does it; the results are the same to the last bit.
+
+    Attributes
+    ----------
+    twin : Twin or None
+        Who follows the run at present.
+    """
+
+    def __init__(self, nav: Navigator, worker: Worker) -> None:
+        self._nav, self._worker = nav, worker
+        self.twin: Twin | None = None
+        self._goes_back = False
+
+    @contextmanager
+    def going_back(self) -> Iterator[None]:
+        """While a late reading is put in its place."""
+        self._goes_back = True
+        try:
+            yield
+        finally:
+            self._goes_back = False
+
+    def give(self, item: Array | Reading) -> None:
+        """An input of the run, before samples are taken and after a reading has been: then what waits has its turn."""
+        self.follow(item)
+        if isinstance(item, Reading):
+            self._worker.turn()
+
+    def follow(self, item: Array | Reading) -> None:
+        """As `give`, but nothing that waits has its turn."""
+        if self._nav.learning.again is None:
+            self.twin = None
+        elif self.twin is not None:
+            self.twin.give(item.copy() if isinstance(item, np.ndarray) else item)
+
+    def before(self, time_s: float) -> None:
+        """Before a reading of this time: do what is due by then."""
+        while self._nav.learning.early_s <= time_s < math.inf:
+            self._early()
+
+    def _early(self) -> None:
+        """At `LearningSchedule.early_s`: adopt what was found, or do the beginning again."""
+        nav, learning = self._nav, self._nav.learning
+        if learning.again is None:
+            learning.early()
+            # what a late reading has fed again would not reach a twin that was made on the way
+            if learning.again is not None and not self._goes_back:
+                self._worker.later(partial(self._follow, learning.again))
+            return
+        twin, self.twin = self.twin, None
+        # while a late reading is put in its place the twin is ahead: it has had what came since
+        here = twin is not None and not self._goes_back and twin.again == learning.again
+        if twin is None or not here or twin.process != os.getpid():
+            # in place: what runs over this filter goes on with it
+            tried = Twin(nav, learning.again, Worker(threads=False)) if learning.compares else None
+            if tried is None or not learning.is_no_better(tried.arrived().learning):
+                _begin_again(nav, learning.again, learning.early_s, learning.early_s)
+            return
+        other = twin.arrived()
+        if not (learning.compares and learning.is_no_better(other.learning)):
+            _change_places(nav, other)
+        self._worker.later(partial(self._worker.begin, partial(_let_go, twin)))
+
+    def _follow(self, again: Again) -> None:
+        """Make a twin, where the beginning is still to be done again so."""
+        if self.twin is None and self._nav.learning.again == again:
+            self.twin = Twin(self._nav, again, self._worker)
+
+
+def _change_places(nav: Navigator, other: Navigator) -> None:
+    """Let a run be where another one is, and that have what is left."""
+    if nav.history is not None and other.history is not None:
+        nav.history.change_places(other.history)
+    # the whole filter, not its memory alone: its states are laid out already
+    nav.filter, other.filter = other.filter, nav.filter
+    nav.learning.filter, before = nav.filter, nav.learning.beginning
+    nav.learning.memory = other.learning.memory
+    other.learning.beginning = before
+    nav.changes += 1
+    for name, prompt in nav.prompts.items():
+        prompt.exchange(other.prompts[name])
+
+
+def _let_go(twin: Twin) -> None:
+    """Free what is left of a run, on the thread. Its parts refer to each other: Python's collector would come upon them
+    in the middle of a call. And a `Prompt` that has not been asked since has its filter in hand, and would free it.
+    """
+    run = twin.run
+    for part in (run.filter.memory, *run.filter.channels.values(), run.filter, run):
+        vars(part).clear()
+
+
+class Twin:
+    """Another run over the same inputs as `nav`, from the start with other models.
+
+    It is given what `nav` is given, in the order in which it arrives, and works that off on the learning thread.
+
+    Parameters
+    ----------
+    nav : Navigator
+        Whose beginning is to be done again; it must have kept its inputs.
+    again : Again
+    worker : Worker
+    """
+
+    #: Inputs that are worked off together: each time costs a hand-over between threads. It is done at a reading, for
+    #: samples are many and have less time to spare.
+    TOGETHER = 16
+    #: So long before it is awaited it is given each reading at once [s], so that next to nothing is left to be done.
+    CLOSE_S = 0.5
+
+    def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
+        self.again, self._worker, self._close_s = again, worker, nav.learning.early_s - self.CLOSE_S
+        self._inputs: deque[Array | Reading] = deque()
+        learning = copied(nav.learning.memory)
+        learning.beginning = learning.beginning and learning.beginning.so_far()
+        self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
+        self._drained: Future[Any] | None = None
+        #: A fork may have been made in the middle of its work, and has no thread that would end it.
+        self.process = os.getpid()
+
+    def give(self, item: Array | Reading) -> None:
+        """The next input."""
+        self._inputs.append(item)
+        if not isinstance(item, Reading) or not (len(self._inputs) >= self.TOGETHER or item.time_s >= self._close_s):
+            return
+        if self._drained is None or self._drained.done():
+            self._drained = self._worker.begin(self._follow)
+
+    def _follow(self) -> None:
+        """On the thread: work off what there is, and have in hand what the next readings need."""
+        self._drain()
+        for prompt in self.run.prompts.values():
+            prompt.is_ready()
+
+    def _drain(self) -> None:
+        while self._inputs:
+            for item in joined([self._inputs.popleft() for _ in range(len(self._inputs))]):
+                self.run.given(item)
+
+    def arrived(self) -> Navigator:
+        """The run, when it has come as far as the one it is a twin of."""
+        self._task.answer()
+        if self._drained is not None:
+            self._drained.result()
+        self._drain()
+        return self.run
+
+    @property
+    def run(self) -> Navigator:
+        """As far as it has come; waits until it has begun."""
+        run: Navigator = self._task.answer()
+        return run
+
+
+def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Navigator:
+    """A twin of a run that has begun again."""
+    history_s = 0.0 if of.history is None else of.history.length_s
+    twin = type(of)(of.vehicle, of.start, history_s=history_s, threads=False)
+    for name, memory in learning.listeners.items():
+        memory.ring = np.full_like(memory.ring, np.nan)
+        if name not in twin.learning.listeners:
+            twin.listen(name, memory.ring.shape[1])
+    twin.learning.memory = learning
+    _begin_again(twin, again, until_s, now_s)
+    return twin
+
+
+def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> None:
+    """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
+    nav.filter.begin(dict(again.models))
+    nav.filter.counts["adopted"] = again.adopted
+    nav.filter.counts["given-up"] = int(again.given_up)
+    inputs = nav.learning.begin_again(until_s)
+    history = nav.history
+    if history is None:
+        PassageAgain(nav, inputs).run()
+        return
+    # the last of it goes through the history, so that late readings find their place
+    history.begin()
+    before = inputs.until(now_s - history.length_s)
+    PassageAgain(nav, inputs.first(*before)).run()
+    for item in inputs.inputs(before):
+        history.feed(item)

@@ -1,0 +1,179 @@
+"""The last seconds of a run: what arrived, and the state now and then, so that a late reading takes its place in
+time.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.events import Outcome
+from navfilter.filter.imu_intake import joined
+from navfilter.foundation.state_values import copied
+
+__all__ = ["History", "Reading", "Run"]
+
+Array = NDArray[np.float64]
+
+
+class Reading(NamedTuple):
+    """A reading as it arrived; `same` when it had the value of the one before, `frozen` when that had not changed for
+    suspiciously long.
+    """
+
+    name: str
+    time_s: float
+    value: Array
+    sd: Any
+    frozen: bool = False
+    same: bool = False
+
+
+class Run(Protocol):
+    """What has a history: it is fed in order, and can go back."""
+
+    memory: Any
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+
+    @property
+    def offset_s(self) -> float:
+        """By how much stamps are moved since the clock was set [s]."""
+
+    def feed(self, item: Array | Reading) -> Outcome | None:
+        """Take samples (rows of time and six values) or a reading, in order."""
+
+
+class History:
+    """Everything that went into a run during the last `length_s` seconds, with checkpoints.
+
+    A late reading takes the run back to the checkpoint before it, and all that came after is fed again, the reading in
+    its place: the result is what arrival in order would have given, at the cost of feeding at most `length_s` again.
+
+    Parameters
+    ----------
+    run : Run
+    length_s : float
+    sensors : sequence of str
+        In the order in which readings of one time are taken.
+    """
+
+    #: Seconds between checkpoints: a late reading feeds at most so much more than its lateness. Those before a reading,
+    #: and those before samples, which are many and have no time to spare, where readings are rare.
+    SPACING_S, RARE_S = 0.4, 1.0
+
+    def __init__(self, run: Run, length_s: float, sensors: Sequence[str]) -> None:
+        self.run, self.length_s, self.sensors = run, length_s, list(sensors)
+        self.replayed_s = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget everything: the run starts anew."""
+        self._marks: list[tuple[float, int, Any]] = []  # time, number of the next input, memory of the run
+        self._log: list[Array | Reading] = []
+        self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
+        self._first = 0  # number of the first input in the log
+        self.marked_s = -math.inf
+
+    def change_places(self, other: History) -> None:
+        """Have the past of another run over the same inputs, and that this one's."""
+        for name in ("_marks", "_log", "_shifts", "_first", "marked_s"):
+            own = getattr(self, name)
+            setattr(self, name, getattr(other, name))
+            setattr(other, name, own)
+
+    def feed(self, item: Array | Reading) -> Outcome | None:
+        """Give samples (rows of time and six values) or a reading to the run, and keep them."""
+        run = self.run
+        now, shift = run.time_s, run.offset_s
+        kept, spacing_s = (item.copy(), self.RARE_S) if isinstance(item, np.ndarray) else (item, self.SPACING_S)
+        self.ready(now, spacing_s)
+        outcome = run.feed(item)
+        self.note(kept, shift)  # behind: the run may have begun this history anew
+        return outcome
+
+    def ready(self, now: float, spacing_s: float = SPACING_S) -> None:
+        """Before an input: keep a checkpoint where one is due."""
+        if now - self.marked_s >= spacing_s:
+            self._mark(now)
+
+    @property
+    def due_s(self) -> float:
+        """When the next checkpoint before a reading is due [s]."""
+        return self.marked_s + self.SPACING_S
+
+    def note(self, item: Array | Reading, shift: float) -> None:
+        """Behind an input: keep it, and by how much stamps were moved."""
+        self._log.append(item)
+        self._shifts.append(shift)
+
+    def _mark(self, now: float) -> None:
+        """Keep a checkpoint of the present, and forget what lies too far back."""
+        self.marked_s = now
+        self._marks.append((now, self._first + len(self._log), copied(self.run.memory)))
+        old = 0
+        while old + 1 < len(self._marks) and self._marks[old + 1][0] <= now - self.length_s:
+            old += 1
+        if old:
+            del self._marks[:old]
+            number = self._marks[0][1]
+            del self._log[: number - self._first], self._shifts[: number - self._first]
+            self._first = number
+
+    def late(self, reading: Reading) -> Outcome | None:
+        """Put a late reading in its place; None when the place lies before the history."""
+        # strictly before it, for readings of one time have an order; only the very first checkpoint stands before all
+        # readings of its time
+        at = bisect_left(self._marks, reading.time_s, key=lambda mark: mark[0]) - 1
+        if at < 0 and self._marks and self._marks[0][:2] == (reading.time_s, 0):
+            at = 0
+        if at < 0:
+            return None
+        if any(isinstance(i, Reading) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
+            return Outcome("duplicate")
+        marked_s, number, memory = self._marks[at]
+        again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
+        self.replayed_s += self.run.time_s - marked_s
+        del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
+        self.marked_s = self._marks[-1][0] if self._marks else -math.inf
+        self.run.memory = memory
+        result: Outcome | None = None
+        for item in _in_place(again, shifts, reading, self.sensors):
+            outcome = self.feed(item)
+            if item is reading:
+                result = outcome
+        return result
+
+    def kept(self) -> tuple[Any, list[Array | Reading]]:
+        """The oldest checkpoint and everything fed since: all that is needed to come to the present state again."""
+        if not self._marks:
+            return self.run.memory, []
+        return self._marks[0][2], list(self._log)
+
+
+def _in_place(
+    items: list[Array | Reading], shifts: list[float], reading: Reading, order: list[str]
+) -> list[Array | Reading]:
+    """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a
+    replay has it.
+    """
+    before: list[Array | Reading] = []
+    after: list[Array | Reading] = []
+    for item, offset_s in zip(items, shifts, strict=True):
+        if isinstance(item, Reading):
+            first = (item.time_s, order.index(item.name)) < (reading.time_s, order.index(reading.name))
+            (before if first else after).append(item)
+            continue
+        late = item[:, 0] + offset_s > reading.time_s + 1e-9
+        split = int(np.argmax(late)) if late.any() else len(item)
+        for part, whither in ((item[:split], before), (item[split:], after)):
+            if len(part):
+                whither.append(part)
+    return [*joined(before), reading, *joined(after)]

@@ -1,0 +1,247 @@
+"""Replay of a vehicle with lanes: each lane goes through the mission in stretches, and they are compared in between."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults.imu.monitor import USED
+from navfilter.faults.lane_selection import HISTORY, Choice, LaneHistory
+from navfilter.filter.records import Tape
+from navfilter.models.lane_clock import edge_after
+from navfilter.models.lane_missions import lane_mission
+from navfilter.models.mission import Mission
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.batch_runner import Passage
+from navfilter.navigation.lanes.navigator import begin_anew, choice_of
+from navfilter.navigation.navigator import Navigator
+from navfilter.navigation.recorded_inputs import drive_samples, readings_of
+
+__all__ = ["LaneReplay", "Piece"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Piece:
+    """What a lane has written down since it began, or began anew.
+
+    Attributes
+    ----------
+    tape : Tape
+    begin_s : float
+        Mission time [s].
+    before : Piece or None
+        Of the lane that it has begun anew from,
+    records, rows, times_begun : int
+        what stood on that tape then, and how often that lane had begun again itself,
+    transition, M : ndarray
+        and how the states came from there, see `navfilter.navigation.lanes.state_transfer.Transplant`.
+    """
+
+    tape: Tape
+    begin_s: float
+    before: Piece | None = None
+    records: int = 0
+    rows: int = 0
+    times_begun: int = 0
+    transition: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    M: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+class LaneReplay:
+    """A run of all lanes over a mission.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With lanes.
+    mission : Mission
+    start : Start
+    output_rate_hz, smooth
+        As of `navfilter.replay`.
+
+    Attributes
+    ----------
+    changes : list of (float, str)
+        From when [s] which lane was in force.
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, or no inertial unit speaks and there is no lane without one.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, mission: Mission, start: Start, output_rate_hz: float | None, smooth: bool
+    ) -> None:
+        self.vehicle, self.start, self._end_s = vehicle, start, mission.end_s
+        self._rate_hz, self._smooth = output_rate_hz, smooth
+        described = vehicle.lanes()
+        missions = {name: lane_mission(vehicle, mission, name, start) for name in described}
+        if not any(len(missions[name].streams["imu"]) for name in described):
+            raise ValueError(f"none of the inertial units ({', '.join(vehicle.units)}) has a single sample.")
+        self.choice: Choice = choice_of(vehicle, start.time_s)
+        self.lanes = [
+            _Lane(name, lane, missions[name], start, Tape(output_rate_hz, smoothable=smooth))
+            for name, lane in described.items()
+        ]
+        self.changes = [(-math.inf, self.lanes[0].name)]
+        self._reasons: list[str] = []
+        self._compared: list[tuple[float, Array, Array]] = []
+        self.choice.told = self._keep
+
+    @property
+    def readings(self) -> int:
+        """How many readings all lanes take, for a progress bar."""
+        return sum(lane.readings for lane in self.lanes)
+
+    @property
+    def believed(self) -> _Lane:
+        """The lane in force."""
+        return self.lanes[self.choice.memory.lane]
+
+    def run(self, progress: Callable[[int], object] | None = None) -> None:
+        """Go through the mission."""
+        now_s = self.start.time_s
+        while now_s < self._end_s:
+            now_s = edge_after(now_s)
+            for lane in self.lanes:
+                lane.run_until(now_s, progress)
+            self._compare(now_s)
+            if now_s < self._end_s:
+                for number in self.choice.to_begin_anew():
+                    self.lanes[number].begin_anew(self.believed, Tape(self._rate_hz, smoothable=self._smooth))
+                    self.choice.begun_anew(number)
+        for lane in self.lanes:
+            lane.nav.finish()
+
+    def _compare(self, until_s: float) -> None:
+        """Take what the lanes foretold since this was last called, in the order of time."""
+        heard = [
+            (time_s, number, sensor, foretold)
+            for number, lane in enumerate(self.lanes)
+            for sensor, name in enumerate(self.choice.names)
+            for time_s, foretold in lane.foretold(name)
+        ]
+        heard.sort(key=lambda item: item[:3])
+        changes = []
+        for time_s, number, sensor, foretold in heard:
+            changes += self.choice.decide_until(time_s)
+            self.choice.hear(number, sensor, time_s, *foretold)
+        if until_s < self._end_s:
+            changes += self.choice.decide_until(until_s, behind=True)
+        self.changes += [(time_s, self.lanes[number].name) for time_s, number, _ in changes]
+        self._reasons += [reason for *_, reason in changes]
+
+    def _keep(self) -> None:
+        if self.choice.memory.step % HISTORY == 0:
+            self._compared.append((self.choice.compared_s, *self.choice.means()))
+
+    @property
+    def history(self) -> LaneHistory:
+        """How the lanes did so far."""
+        times, gain, nis = zip(*self._compared, strict=True) if self._compared else ((), (), ())
+        names = tuple(lane.name for lane in self.lanes)
+        gains, squares = (np.array(each).reshape(-1, len(names)) for each in (gain, nis))
+        return LaneHistory(names, np.array(times), gains, squares, tuple(self._reasons))
+
+
+class _Lane:
+    """One lane on its way through a mission."""
+
+    def __init__(self, name: str, vehicle: Vehicle, mission: Mission, start: Start, tape: Tape) -> None:
+        self.name = name
+        self.nav = Navigator(vehicle, start, tape)
+        silent = not len(mission.streams["imu"])
+        self._times, values = (np.empty(0), np.empty((0, 6))) if silent else drive_samples(vehicle, mission)
+        self._readings = readings_of(vehicle, mission, start.time_s)
+        done = int(np.searchsorted(self._times, start.time_s - 1e-9))
+        self._passage = Passage(self.nav, self._times, values, self._readings, done)
+        self._told: dict[str, int] = {}
+        self._out = self._left_out()
+        self.pieces = [Piece(tape, start.time_s)]
+
+    @property
+    def readings(self) -> int:
+        """How many it takes."""
+        return len(self._readings.time_s)
+
+    def run_until(self, time_s: float, progress: Callable[[int], object] | None) -> None:
+        """Everything up to a time."""
+        readings = int(np.searchsorted(self._readings.time_s, time_s, side="right"))
+        samples = int(np.searchsorted(self._times, time_s, side="right"))
+        before = self._passage.at
+        self._passage.run_until(readings, samples)
+        if progress is not None:
+            progress(self._passage.at - before)
+
+    def _left_out(self) -> set[str]:
+        """Axes of its unit that something else stands in for, now."""
+        filter = self.nav.filter
+        return set(filter.watch.left_out(filter.memory.watch))
+
+    def _carried(self) -> tuple[list[float], list[bool]]:
+        """From when on [s] something stood in for an axis of its unit, and from when on nothing."""
+        out, times, carried = set(self._out), [-math.inf], [bool(self._out)]
+        for time_s, axis, condition in self.pieces[-1].tape.first_axes():
+            (out.discard if condition in USED else out.add)(axis)
+            times.append(time_s)
+            carried.append(bool(out))
+        return times, carried
+
+    def foretold(self, name: str) -> Iterator[tuple[float, tuple[list[float], list[float], bool]]]:
+        """Readings of a sensor since this was last asked: time; residuals, their variances, and whether something stood
+        in for axes of the unit.
+        """
+        first, (times, carried) = self._told.get(name, 0), self._carried()
+        rows = self.pieces[-1].tape.first_notes(name, first)
+        self._told[name] = first + len(rows)
+        axes = (rows.shape[1] - 4) // 2
+        for row in rows[rows[:, 2] > 0.0].tolist():
+            yield row[0], (row[4 : 4 + axes], row[4 + axes :], carried[bisect.bisect_right(times, row[0]) - 1])
+
+    def begin_anew(self, source: _Lane, tape: Tape) -> None:
+        """From the state of another lane, on another tape."""
+        filter, written = self.nav.filter, source.pieces[-1]
+        given = written.tape
+        given.lent, stood = True, (len(given.records), len(given.row_times), given.times_begun)
+        now_s = source.nav.time_s
+        filter.tape = None
+        new = begin_anew(self.nav, source.nav)
+        tape.begin(filter.layout)
+        for name, sensor in filter.in_force.sensors.items():
+            tape.column(name, sensor.axes)
+            tape.models[name] = [(now_s, sensor.error)]
+        filter.tape, self._told, self._out = tape, {}, self._left_out()
+        self.pieces.append(Piece(tape, now_s, written, *stood, new.transition, new.M))
+
+
+def piece_at(pieces: list[Piece], time_s: float) -> Piece:
+    """The one that was being written at a time [s]."""
+    return next((piece for piece in reversed(pieces) if piece.begin_s <= time_s), pieces[0])
+
+
+def smoothable(piece: Piece) -> Tape:
+    """The tape of a lane, and before it those of the lanes that it has begun anew from: one run from the start."""
+    chain = [piece]
+    while chain[0].before is not None:
+        chain.insert(0, chain[0].before)
+    whole = Tape(smoothable=True)
+    whole.layouts.clear()
+    for one, then in zip(chain, [*chain[1:], None], strict=True):
+        if then is None:
+            whole.append(one.tape)
+        else:
+            whole.append(one.tape.as_of(then.times_begun), then.records, then.rows)
+        if then is not None:
+            m = len(then.transition)
+            whole.record(then.transition.reshape(-1), 0, np.array([0, then.M.shape[1], m, 0, 0, 0, 0, 0]))
+            whole.change(then.M)
+    return whole

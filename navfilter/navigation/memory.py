@@ -1,0 +1,119 @@
+"""Everything of a navigator that changes in order, and the classes that it consists of."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from navfilter.faults.alternative_path import RefusedWay
+from navfilter.faults.clocks.burst_stamps import BurstsMemory
+from navfilter.faults.clocks.imu_clock import Arrived, DriveClockMemory
+from navfilter.faults.clocks.sensor_clock import Ahead
+from navfilter.faults.dead_reckoning_compass import Reckoned
+from navfilter.faults.heading_fault import Course
+from navfilter.faults.imu.gyro_scale import Turns
+from navfilter.faults.lane_selection import ChoiceMemory
+from navfilter.faults.noise_scale import Scatter
+from navfilter.faults.refusals import Refusals
+from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.velocity_fault import Aside
+from navfilter.filter.channel_memory import ChannelMemory
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.imu_intake import IntakeMemory
+from navfilter.filter.model_change import Change
+from navfilter.foundation.state_values import misfit
+from navfilter.learning.consistency import Stretches
+from navfilter.learning.input_buffer import Kept, Rows
+from navfilter.learning.learner_memory import LearnerMemory
+from navfilter.learning.learning_memory import Again, LearningMemory
+from navfilter.learning.series_memory import Hop, ListenerMemory
+from navfilter.learning.slow_posterior import Line
+from navfilter.learning.static_recorder import RestMemory
+from navfilter.models.spectrum import Spectrum
+from navfilter.navigation.history import Reading
+
+__all__ = ["MEMORY", "LaneMemory", "LanesMemory", "NavigatorMemory", "check_watches"]
+
+
+@dataclass
+class NavigatorMemory:
+    """Everything that changes in order: what late readings and snapshots go back to."""
+
+    filter: FilterMemory
+    learning: LearningMemory
+
+    def whole(self) -> NavigatorMemory:
+        """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
+        beginning = self.learning.beginning
+        kept = None if beginning is None else beginning.first(*self.learning.kept)
+        return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
+
+
+@dataclass
+class LaneMemory:
+    """What changes in one lane.
+
+    Attributes
+    ----------
+    run : NavigatorMemory
+    watches : dict of str to Watch
+    waiting : list of Reading
+    """
+
+    run: NavigatorMemory
+    watches: dict[str, Watch]
+    waiting: list[Reading]
+
+
+@dataclass
+class LanesMemory:
+    """Everything that changes in order.
+
+    Attributes
+    ----------
+    lanes : dict of str to LaneMemory
+    choice : ChoiceMemory
+    ticks, levels : int
+        Samples and readings of the lane without an inertial unit so far.
+    ahead_s : float
+        Since when readings come long after everything else [s].
+    """
+
+    lanes: dict[str, LaneMemory]
+    choice: ChoiceMemory
+    ticks: int
+    levels: int
+    ahead_s: float
+
+
+#: Classes that a snapshot is made of, beside error models.
+MEMORY = (
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Reckoned, Aside, Scatter, Turns),
+    *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived, Ahead),
+    *(
+        LearningMemory,
+        Kept,
+        Rows,
+        Again,
+        Stretches,
+        Change,
+        ListenerMemory,
+        Hop,
+        RestMemory,
+        LearnerMemory,
+        Line,
+        Spectrum,
+    ),
+)
+
+
+def check_watches(saved: dict[str, Watch], own: dict[str, Watch]) -> None:
+    """Raise ValueError for watches from outside that hold anything but what these do, or are of others."""
+    if set(saved) != set(own):
+        raise ValueError(f"watches must be kept of {', '.join(own)}, found {', '.join(saved)}")
+    for name, watch in saved.items():
+        problem = misfit(watch, own[name], f"watches[{name!r}]")
+        if not problem and not all(type(n) is int for n in dict(watch.others).values()):
+            problem = f"watches[{name!r}].others must be counts, found {watch.others!r}"
+        if problem:
+            raise ValueError(problem)

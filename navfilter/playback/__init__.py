@@ -1,0 +1,1 @@
+"""Replay: a loop over a recorded mission through the navigator; warm-up; fixes that are held out."""

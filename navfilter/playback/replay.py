@@ -1,0 +1,325 @@
+"""Replay: a loop over a mission through the vehicle's own `step` and `correct`."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.records import Tape
+from navfilter.foundation.arguments import needs
+from navfilter.learning.batch import change, learning_sensors, refitted
+from navfilter.learning.open_loop_series import ChannelSeries
+from navfilter.models.lane_missions import last_unit, of_one_unit
+from navfilter.models.learned_arma import learning_part
+from navfilter.models.mission import Mission
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.alignment import align
+from navfilter.navigation.batch_runner import Passage
+from navfilter.navigation.lanes.tracks import replayed_lanes
+from navfilter.navigation.measurements import Readings
+from navfilter.navigation.navigator import Navigator
+from navfilter.navigation.recorded_inputs import drive_samples, readings_of
+from navfilter.navigation.track_assembly import bar, forward_track, smoothed_track
+from navfilter.track.track import Track
+
+__all__ = ["drive_samples", "identified", "learns", "replay", "replay_heard", "residual_series"]
+
+Array = NDArray[np.float64]
+_Path = str | os.PathLike[str]
+#: Models have settled when they change by less than so many of their own standard deviations.
+SETTLED = 0.2
+_ORDER = "It is replay(vehicle, mission)."
+
+
+def replay(
+    vehicle: Vehicle | _Path,
+    mission: Mission | _Path,
+    *,
+    start: Start | None = None,
+    smooth: bool = False,
+    output_rate_hz: float | None = 5.0,
+    progress: bool = False,
+    iterate: int = 0,
+) -> Track:
+    """Run a recorded mission through the filter, and optionally the smoother.
+
+    Parameters
+    ----------
+    vehicle : Vehicle or path-like
+        Or the vehicle.toml, or the folder that holds it.
+    mission : Mission or path-like
+        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle; or what
+        `navfilter.read_mission` reads: a folder, a .toml or a .npz.
+    start : Start, optional
+        Default: the mission's own start, else an alignment on its first readings.
+    smooth : bool
+        Return the smoothed track (its `forward` is the filter's).
+    output_rate_hz : float or None
+        At most so many rows per second in the track, each at a reading or at a fold of the covariance (one a second);
+        infinite: at all of them. None: at every sample of the drive, too, what `Navigator.state` gives there; smoothed,
+        as infinite.
+    progress : bool
+        Show a progress bar on standard error.
+    iterate : int
+        Identify on the whole mission first, see `identified`, in at most so many rounds. The models then are in force
+        from the start, and frozen. 0: the models are learnt under way, from what came before, as on the vehicle.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, empty, or the mission holds nothing after the start, for `iterate` where no sensor
+        learns, and for a path that cannot be read.
+    """
+    vehicle, mission = _read(vehicle, mission)
+    needs("replay: start", start, Start, type(None))
+    if iterate:
+        start = _start(vehicle, mission, start)
+        vehicle = identified(vehicle, mission, iterate, start)
+    start = _start(vehicle, mission, start)
+    if vehicle.lanes():
+        return replayed_lanes(vehicle, mission, start, output_rate_hz, smooth=smooth, progress=progress)
+    return _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), progress, ())[0]
+
+
+def replay_heard(
+    vehicle: Vehicle,
+    mission: Mission,
+    sensors: Sequence[str],
+    *,
+    start: Start | None = None,
+    smooth: bool = False,
+    output_rate_hz: float | None = 5.0,
+) -> tuple[Track, dict[str, tuple[ChannelSeries, ...]]]:
+    """A replay and, from the same run, the open-loop residuals of some of its sensors.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        That does not learn: what it listened to would be in the way.
+    mission : Mission
+    sensors : sequence of str
+    start, smooth, output_rate_hz
+        As in `replay`.
+
+    Returns
+    -------
+    track : Track
+    series : dict of str to tuple of ChannelSeries
+        As `residual_series` gives them.
+
+    Raises
+    ------
+    ValueError
+        As `replay`, and for a vehicle that learns.
+    """
+    if learns(vehicle):
+        raise ValueError("this vehicle learns: replay it, and take the residuals by residual_series.")
+    start = _start(vehicle, mission, start)
+    if vehicle.lanes():
+        track = replayed_lanes(vehicle, mission, start, output_rate_hz, smooth=smooth, progress=False)
+        return track, residual_series(vehicle, mission, sensors, start) if sensors else {}
+    track, nav = _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), False, sensors)
+    return track, {name: nav.heard(name) for name in sensors}
+
+
+def _replayed(
+    vehicle: Vehicle, mission: Mission, start: Start, tape: Tape, progress: bool, heard: Sequence[str]
+) -> tuple[Track, Navigator]:
+    drive = drive_samples(vehicle, mission)
+    began = time.process_time()
+    readings = readings_of(vehicle, mission, start.time_s)
+    span_s = max(drive[0][-1], readings.time_s.max(initial=start.time_s)) - start.time_s
+    tape.expect(2 + int(min(len(drive[0]) + len(readings.time_s), span_s / (tape.interval_s or 1e-300))))
+    nav = Navigator(vehicle, start, tape)
+    _listen(nav, mission, heard)
+    _run(nav, *drive, readings, progress)
+    del readings  # of a day 45 MB, beside what the smoother needs
+    track = forward_track(nav, mission.name, time.process_time() - began)
+    revised = None if track.revised is None else replace(track.revised, epoch_utc_s=mission.epoch_utc_s)
+    track = replace(track, epoch_utc_s=mission.epoch_utc_s, revised=revised)
+    if tape.smoothable:
+        tape.columns.clear()  # they stand in the track now: of a day 70 MB
+        track = replace(smoothed_track(track, nav, began, progress), epoch_utc_s=mission.epoch_utc_s)
+    tape.begin(nav.filter.layout)  # its memory is there for the next run
+    return track, nav
+
+
+def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
+    needs("replay: vehicle", vehicle, Vehicle, os.PathLike, str, hint=_ORDER)
+    needs("replay: mission", mission, Mission, os.PathLike, str, hint=_ORDER)
+    if not isinstance(vehicle, Vehicle):
+        from navfilter.io import read_vehicle
+
+        vehicle = read_vehicle(vehicle)
+    if not isinstance(mission, Mission):
+        from navfilter.io import read_mission
+
+        mission = read_mission(mission)
+    return vehicle, mission
+
+
+def identified(
+    vehicle: Vehicle,
+    mission: Mission,
+    rounds: int = 5,
+    start: Start | None = None,
+    report: Callable[[int, float], None] | None = None,
+) -> Vehicle:
+    """Error models identified on a whole mission: replay, fit every `LearnedArma` to all that was heard, replay with
+    the fits, fit again.
+
+    Ends when the models have settled: the spectrum of every axis changes by less than `SETTLED` of its own standard
+    deviation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+    rounds : int
+        At most.
+    start : Start, optional
+        As in `replay`.
+    report : callable, optional
+        Called after each round with its number and the change since the round before
+        (`navfilter.learning.batch.change`; infinite in the first).
+
+    Returns
+    -------
+    Vehicle
+        With the models in force and frozen; an axis whose series says too little goes on learning.
+
+    Raises
+    ------
+    ValueError
+        Where no sensor learns, and for less than one round.
+
+    Notes
+    -----
+    What is fitted is the open-loop residual of `residual_series` beside the known noise of its drift, not the residual
+    from the smoothed track. A smoother gives the slow part of a sensor's error to the state, more of it at every pass,
+    so that models fitted to its residuals lose the low frequencies, and what is believed of them is what makes a filter
+    overconfident. The open-loop residual holds the error whole whatever is believed of it, so that this settles after
+    the second round, but for what gates and linearisation depend on.
+    """
+    names = learning_sensors(vehicle)
+    if not names:
+        raise ValueError(
+            'no sensor of this vehicle learns its error: give one a LearnedArma (model = "learned-arma"), or do not '
+            "iterate."
+        )
+    if int(rounds) != rounds or rounds < 1:
+        raise ValueError(f"rounds must be a whole number of at least 1, found {rounds!r}.")
+    start = _start(vehicle, mission, start)
+    single, mission = _of_the_last_unit(vehicle, mission, start)
+    now, apart = single, math.inf
+    for number in range(1, int(rounds) + 1):
+        before, now = now, refitted(single, residual_series(now, mission, names, start))
+        apart = change(before, now)
+        if report is not None:
+            report(number, apart)
+        if apart < SETTLED:
+            break
+    return vehicle.with_error(**{name: now.sensors[name].error for name in names})
+
+
+def _of_the_last_unit(vehicle: Vehicle, mission: Mission, start: Start) -> tuple[Vehicle, Mission]:
+    """A vehicle with lanes as if it had the unit alone that a replay has in force last; any other one as it is."""
+    if not vehicle.lanes():
+        return vehicle, mission
+    lanes = replayed_lanes(vehicle, mission, start, 1.0, smooth=False, progress=False).lanes
+    return of_one_unit(vehicle, mission, last_unit(vehicle, lanes))
+
+
+def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
+    if start is not None:
+        return start
+    if mission.start is not None:
+        return mission.start
+    return align(vehicle, mission)
+
+
+def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress: bool) -> None:
+    done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
+    if done >= len(times):
+        raise ValueError(
+            f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the "
+            "clocks."
+        )
+    shown = bar(len(events.time_s), "filter", progress)
+    Passage(nav, times, values, events, done).run(None if shown is None else shown.update)
+    if shown is not None:
+        shown.close()
+
+
+def residual_series(
+    vehicle: Vehicle, mission: Mission, sensors: Sequence[str] | None = None, start: Start | None = None
+) -> dict[str, tuple[ChannelSeries, ...]]:
+    """Open-loop residuals of the correcting sensors over a whole mission: what their error models are fitted to.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With lanes: as if it had that inertial unit only which a replay has in force last.
+    mission : Mission
+    sensors : sequence of str, optional
+        Default: all that have readings of their own.
+    start : Start, optional
+        As in `replay`.
+
+    Returns
+    -------
+    dict of str to tuple of ChannelSeries
+        One series per axis: readings minus the prediction of an open loop, with the known noise of what else is in
+        them.
+    """
+    start = _start(vehicle, mission, start)
+    vehicle, mission = _of_the_last_unit(vehicle, mission, start)
+    drive = drive_samples(vehicle, mission)
+    # nothing is late: the same filter, without the history that lets late readings in
+    nav = Navigator(vehicle, start, history_s=0.0, threads=False)
+    names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
+    _listen(nav, mission, names)
+    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
+    return {name: nav.heard(name) for name in names}
+
+
+def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -> Navigator:
+    """The navigator at the end of a mission: its constant states are then what a smoother gives for all of it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Without lanes, see `navfilter.models.lane_missions.of_one_unit`.
+    mission : Mission
+    start : Start, optional
+        As in `replay`.
+    """
+    drive = drive_samples(vehicle, mission)
+    start = _start(vehicle, mission, start)
+    nav = Navigator(vehicle, start, history_s=0.0, threads=False)
+    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
+    return nav
+
+
+def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
+    """To these sensors over a whole mission."""
+    for name in names:
+        span = mission.duration_s + 2.0 * nav.filter.AHEAD_S
+        nav.listen(name, max(1, int(span * nav.vehicle.sensors[name].rate_hz * 1.2) + 16))
+
+
+def learns(vehicle: Vehicle) -> bool:
+    """Whether the error of the drive or of any sensor is learnt."""
+    models = (*vehicle.drive.models, *(model for sensor in vehicle.sensors.values() for model in sensor.models))
+    return any(learning_part(model) is not None for model in models)

@@ -1,0 +1,1 @@
+"""Parts of HTML pages and figures that identification, evaluation and report share."""

@@ -1,0 +1,262 @@
+"""Batch fit of an ARMA model: exact Gaussian likelihood, or least squares of the prediction errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.foundation.display import Value, few
+from navfilter.timeseries.likelihood import GapFree, Objective, Point, WithGaps, minimise
+from navfilter.timeseries.model import ArmaModel, log_s0_sd
+from navfilter.timeseries.order_criterion import CRITERIA, criterion
+from navfilter.timeseries.regression import PART, Problem
+from navfilter.timeseries.roots import resolved_radius
+
+__all__ = ["ArmaFit", "fit_arma"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmaFit(Value):
+    """A fitted ARMA model with its likelihood and residuals.
+
+    Attributes
+    ----------
+    ar, ma : ndarray, shapes (p,) and (q,)
+        Coefficients of the `d` times differenced series, sign of ``lfilter([1, *ma], [1, *ar], e)``.
+    sd : float
+        Standard deviation of the innovation.
+    covariance : ndarray, shape (p+q, p+q)
+        Asymptotic covariance of ``[ar, ma]``.
+    loglik : float
+        Exact Gaussian log-likelihood of the differenced series at the estimate, whatever the method; that of the
+        residuals alone when poles on the circle leave no exact one.
+    aic, aicc, bic, hq : float
+        ``-2 loglik`` plus the penalty of Akaike, its small-sample form, Schwarz, and Hannan and Quinn, for
+        p + q + 1 parameters and the trend coefficients.
+    residuals : ndarray, shape (n - d,)
+        Prediction errors; NaN where the sample is missing.
+    trend : ndarray
+        Coefficients of the constant (level at the middle of the series), the slope per sample and the regressors, in
+        the unit of the series; those that differencing cancels are left out.
+    n : int
+        Number of known samples of the differenced series.
+    d : int
+        Times the series was differenced.
+    method : str
+        ``"likelihood"`` or ``"prediction-error"``.
+    flags : frozenset of str
+        ``"short"`` (fewer than 30 samples per coefficient), ``"not converged"``, ``"unit root"`` (a pole above 1 - 3/n,
+        which belongs to a random-walk bias), ``"gaps"``.
+    """
+
+    ar: Array
+    ma: Array
+    sd: float
+    covariance: Array
+    loglik: float
+    aic: float
+    aicc: float
+    bic: float
+    hq: float
+    residuals: Array
+    trend: Array
+    n: int
+    d: int
+    method: str
+    flags: frozenset[str]
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        sds = np.sqrt(np.diag(self.covariance))
+        rows: dict[str, object] = {"ar": _with_sds(self.ar, sds[: self.p]), "ma": _with_sds(self.ma, sds[self.p :])}
+        rows |= {"sd": f"{self.sd:.4g}", "trend": few(self.trend) or None}
+        rows["loglik"] = f"{self.loglik:.6g} of {self.n} samples by {self.method}"
+        rows |= {name: f"{getattr(self, name):.6g}" for name in CRITERIA}
+        differenced = f", differenced {self.d} times" if self.d else ""
+        return f"ArmaFit({self.p}, {self.q}){differenced}", rows | {"flags": ", ".join(sorted(self.flags)) or None}
+
+    @property
+    def p(self) -> int:
+        """Number of autoregressive coefficients."""
+        return int(self.ar.size)
+
+    @property
+    def q(self) -> int:
+        """Number of moving-average coefficients."""
+        return int(self.ma.size)
+
+    @property
+    def model(self) -> ArmaModel:
+        """The immutable model of the series itself: the `d` unit roots are part of `model.ar`."""
+        ar, covariance, q = np.r_[1.0, self.ar], self.covariance, self.q
+        for _ in range(self.d):
+            longer = np.zeros((ar.size + q, ar.size - 1 + q))
+            p = ar.size - 1
+            longer[:p, :p] += np.eye(p)
+            longer[1 : p + 1, :p] -= np.eye(p)
+            longer[p + 1 :, p:] = np.eye(q)
+            ar, covariance = np.convolve(ar, [1.0, -1.0]), longer @ covariance @ longer.T
+        spread = None if self.d else log_s0_sd(self.ar, self.ma, self.covariance, self.n)
+        return ArmaModel(ar[1:], self.ma, self.sd, covariance, spread, float(self.n), self.flags)
+
+
+def _with_sds(values: Array, sds: Array) -> str | None:
+    return ", ".join(f"{value:.4g} +- {sd:.2g}" for value, sd in zip(values, sds, strict=True)) or None
+
+
+def fit_arma(
+    series: ArrayLike,
+    p: int,
+    q: int,
+    method: str = "likelihood",
+    *,
+    d: int = 0,
+    trend: str = "constant",
+    regressors: ArrayLike | None = None,
+) -> ArmaFit:
+    """Fit an ARMA(p, q) model to a recorded series.
+
+    Parameters
+    ----------
+    series : array_like, shape (n,)
+        Samples; NaN marks a missing one.
+    p, q : int
+        Orders.
+    method : {"likelihood", "prediction-error"}
+        Exact Gaussian likelihood (stationary start), or the sum of squared prediction errors with the memory from
+        before the first sample left free: the choice for series whose pole is at 1. (With gaps both start stationary.)
+    d : int
+        Times to difference first (ARIMA).
+    trend : {"constant", "none", "linear"}
+        Mean or straight line, estimated together with the coefficients, never subtracted beforehand: near a unit root
+        that would shorten the correlation time.
+    regressors : array_like, shape (n,) or (n, k), optional
+        Known inputs (temperature, say) whose coefficients are estimated along.
+
+    Returns
+    -------
+    ArmaFit
+
+    Raises
+    ------
+    ValueError
+        For a series that is constant, too short, infinite, or not one-dimensional, and for unknown options.
+
+    Notes
+    -----
+    Levenberg-Marquardt on the exact objective with its exact gradient, from Hannan-Rissanen and other starts.
+
+    Examples
+    --------
+    >>> from navfilter.timeseries.model import simulate_arma
+    >>> fit = fit_arma(simulate_arma([-0.8], [0.4], 2.0, 5000, seed=1), p=1, q=1)
+    >>> fit.ar.round(2), fit.ma.round(2), round(fit.sd, 1)
+    (array([-0.8]), array([0.39]), 2.0)
+    """
+    problem = Problem(series, p, q, method, d, trend, regressors)
+    objective = problem.objective(p, q)
+    part = problem.objective(p, q, PART)
+    best, converged = _best_of(part, problem.starts(p, q))
+    if min(p, q) >= 2 and not problem.gaps and _holds_a_line(part.residuals(best)):
+        other = minimise(part, _line_start(problem, p, q))
+        best, converged = min((best, converged), other, key=lambda run: run[0].value)
+    if part.count < objective.count:
+        best, converged = minimise(objective, best.theta)
+    return fitted(problem, best, objective, converged)
+
+
+def _best_of(objective: Objective, starts: list[Array]) -> tuple[Point, bool]:
+    """Best minimum from several starts, each later one followed only while it may still win."""
+    best, converged = None, False
+    for start in starts:
+        point, done = minimise(objective, start, limit=4)
+        if not done and math.isfinite(point.value) and (best is None or point.value < best.value + 2.0):
+            point, done = minimise(objective, point.theta)
+        if math.isfinite(point.value) and (best is None or point.value < best.value):
+            best, converged = point, done
+    if best is None:
+        order = f"({objective.p}, {objective.q})"
+        raise ValueError(f"no ARMA{order} start has a finite likelihood: the series is predictable without error.")
+    return best, converged
+
+
+def _smooth_periodogram(e: Array) -> Array:
+    """Periodogram without the mean, averaged over five ordinates."""
+    power = np.abs(np.fft.rfft(e)[1:]) ** 2
+    return np.convolve(power, np.full(5, 0.2), mode="same")
+
+
+def _holds_a_line(e: Array) -> bool:
+    """Whether some frequency stands out of white residuals by five times the mean: one in a thousand by chance."""
+    power = _smooth_periodogram(e)
+    return bool(power.max() > 5.0 * power.mean())
+
+
+def _line_start(problem: Problem, p: int, q: int) -> Array:
+    """The fit two orders lower, with a pole pair and a zero pair at the strongest frequency it leaves over.
+
+    A weak line under other noise is a narrow valley of the likelihood that regressions on lags do not lead into.
+    """
+    smaller = problem.objective(p - 2, q - 2, PART)
+    point, _ = _best_of(smaller, problem.starts(p - 2, q - 2))
+    power = _smooth_periodogram(smaller.residuals(point))
+    w = math.pi * float(np.argmax(power) + 1) / power.size
+    pole, zero = ([-2.0 * r * math.cos(w), r * r] for r in (0.995, 0.98))
+    a, c = np.r_[1.0, point.theta[: p - 2]], np.r_[1.0, point.theta[p - 2 :]]
+    return np.r_[np.convolve(a, [1.0, *pole])[1:], np.convolve(c, [1.0, *zero])[1:]]
+
+
+def fitted(problem: Problem, point: Point, objective: Objective, converged: bool) -> ArmaFit:
+    """The fit at the minimum `point`, in the unit of the series."""
+    p, q, n = objective.p, objective.q, problem.count
+    H, _ = objective.linearise(point) if p + q else (np.zeros((0, 0)), None)
+    exact = point
+    if problem.method != "likelihood":
+        kind = WithGaps if problem.gaps else GapFree
+        exact = kind(problem.y, problem.regressors, p, q, False).evaluate(point.theta)
+        exact = exact if math.isfinite(exact.value) else point
+    loglik = -exact.value - 0.5 * n * (1.0 + math.log(2.0 * math.pi)) - n * math.log(problem.scale)
+    k = p + q + 1 + len(problem.regressors)
+    flags = {"gaps"} if problem.gaps else set()
+    if n < 30 * (p + q):
+        flags.add("short")
+    if not converged:
+        flags.add("not converged")
+    model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
+    if p and np.any(model.poles.real > resolved_radius(n)):
+        flags.add("unit root")
+        if problem.method != "likelihood":
+            # The least sum of squares lies on the circle, where the search had to stop.
+            flags.discard("not converged")
+    lost = max(p, q) if problem.method != "likelihood" and not problem.gaps else 0
+    trend = point.beta / problem.sizes * problem.scale
+    trend[:1] += problem.shift * problem.scale
+    return ArmaFit(
+        ar=model.ar,
+        ma=model.ma,
+        sd=problem.scale * math.sqrt(point.power / (n - lost)),
+        covariance=_covariance(H),
+        loglik=loglik,
+        **{name: criterion(name, -2.0 * loglik, k, n) for name in CRITERIA},
+        residuals=objective.residuals(point) * problem.scale,
+        trend=trend,
+        n=n,
+        d=problem.d,
+        method=problem.method,
+        flags=frozenset(flags),
+    )
+
+
+def _covariance(H: Array) -> Array:
+    """Inverse of the information matrix; a direction without information gets a large but finite variance."""
+    if not H.size:
+        return np.zeros((0, 0))
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    values = np.maximum(values, 1e-12 * values.max())
+    inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return np.asarray(0.5 * (inverse + inverse.T))

@@ -1,0 +1,266 @@
+"""Exact algebra of ARMA models: decimation, sums, the reading as bias + white + lines, and the bias split off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.foundation.arguments import needs
+from navfilter.timeseries.model import ArmaModel, log_s0_sd
+from navfilter.timeseries.roots import slowest_real
+from navfilter.timeseries.spectral import spectral_factor
+
+__all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "split_bias"]
+
+Array = NDArray[np.float64]
+
+
+def resample_arma(model: ArmaModel, m: int) -> ArmaModel:
+    """Exact model of every `m`-th sample of the series.
+
+    The poles become ``pole**m``. Multiplying ``A y = C e`` by ``T = A_m(q^m)/A(q)``, a finite sum even for unit roots,
+    leaves a moving average ``T C e`` that is seen at every m-th sample only; its order is ``floor(p + (q - p)/m)``, and
+    spectral factorisation gives its coefficients. Nothing is approximated and no stability is required.
+
+    Parameters
+    ----------
+    model : ArmaModel
+        Model of the fast series.
+    m : int
+        Decimation, at least 1.
+
+    Examples
+    --------
+    >>> slow = resample_arma(ArmaModel([-0.9], [], 1.0), 2)
+    >>> slow.ar.round(6), slow.q, round(slow.sd**2, 6)
+    (array([-0.81]), 0, 1.81)
+    """
+    if m < 1 or m != int(m):
+        raise ValueError(f"m must be a whole number of samples, at least 1, found {m}.")
+    if m == 1:
+        return model
+    poles = model.poles
+    wide = np.array([1.0 + 0.0j])
+    for pole in poles:
+        wide = np.convolve(wide, pole ** np.arange(m))
+    d = np.convolve(wide.real, np.r_[1.0, model.ma])
+    ar = np.real(np.poly(poles**m))[1:] if poles.size else np.zeros(0)
+    q = (d.size - 1) // m
+    gamma = np.array([d[: d.size - k * m] @ d[k * m :] for k in range(q + 1)])
+    ma, sd = spectral_factor(gamma)
+    window = None if model.effective_window is None else model.effective_window / m
+    return ArmaModel(ar, ma, sd * model.sd, effective_window=window, flags=model.flags | {"resampled"})
+
+
+def add_arma(models: Iterable[ArmaModel]) -> ArmaModel:
+    """Model of the sum of independent ARMA series (Granger and Morris 1976): product of the AR parts, exact MA part.
+
+    Examples
+    --------
+    >>> walk, white = ArmaModel([-1.0], [], 0.1), ArmaModel([], [], 1.0)
+    >>> add_arma([walk, white]).ma.round(4)
+    array([-0.9049])
+    """
+    needs("add_arma: models", models, Sequence, hint="As add_arma([a, b]).")
+    for part in models:
+        needs("add_arma: each of them", part, ArmaModel)
+    parts = [part for part in models if part.sd > 0.0]
+    if not parts:
+        return ArmaModel(np.zeros(0), np.zeros(0), 0.0)
+    polynomials = [np.r_[1.0, part.ar] for part in parts]
+    ar = np.array([1.0])
+    for polynomial in polynomials:
+        ar = np.convolve(ar, polynomial)
+    drives = []
+    for i, part in enumerate(parts):
+        drive = part.sd * np.r_[1.0, part.ma]
+        for j, polynomial in enumerate(polynomials):
+            if j != i:
+                drive = np.convolve(drive, polynomial)
+        drives.append(drive)
+    order = max(drive.size for drive in drives)
+    gamma = [sum(float(d[: max(d.size - k, 0)] @ d[k:]) for d in drives) for k in range(order)]
+    ma, sd = spectral_factor(gamma)
+    return ArmaModel(ar[1:], ma, sd)
+
+
+# A pole this small is gone after a sample or two: its part counts as white noise.
+_BRIEF = 0.3
+
+
+@dataclass(frozen=True)
+class Line:
+    """A narrow resonance: `freq` in cycles per sample, `radius` of its poles, `sd` of its contribution."""
+
+    freq: float
+    radius: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class BiasPlusWhite:
+    """A slow bias ``x+ = pole x + w`` plus white noise, plus any lines.
+
+    Attributes
+    ----------
+    white_sd : float
+        Standard deviation of the white part.
+    drive_sd : float
+        Standard deviation of w, per sample. With ``pole = 1`` this is a random walk, below 1 first-order Gauss-Markov.
+    pole : float
+        Pole of the bias; 0 when the model has no real positive pole.
+    lines : tuple of Line
+        What other poles add, strongest first: resonances, and at frequency 0 further slow parts. Described, not
+        included in `model`.
+    """
+
+    white_sd: float
+    drive_sd: float
+    pole: float
+    lines: tuple[Line, ...] = ()
+
+    @property
+    def model(self) -> ArmaModel:
+        """The bias and the white noise as one ARMA(1,1) model (IMA(1,1) when the pole is 1)."""
+        bias = ArmaModel(np.array([-self.pole]) if self.pole else np.zeros(0), np.zeros(0), self.drive_sd)
+        return add_arma([bias, ArmaModel(np.zeros(0), np.zeros(0), self.white_sd)])
+
+
+def bias_plus_white(model: ArmaModel) -> BiasPlusWhite:
+    """Read a model as random-walk or Gauss-Markov bias + white noise + lines.
+
+    Exact for orders (0,0), (1,0) and (1,1); its inverse is `BiasPlusWhite.model`. For larger models the spectrum is
+    split into partial fractions: the slowest real pole is the bias, the others are lines (below radius 0.3: white).
+
+    Raises
+    ------
+    ValueError
+        When the model cannot be such a sum: no split leaves all variances positive.
+
+    Examples
+    --------
+    >>> reading = bias_plus_white(ArmaModel([-1.0], [-0.982], 1.0))
+    >>> round(reading.drive_sd, 4), round(reading.white_sd, 4), reading.pole
+    (0.018, 0.991, 1.0)
+    """
+    needs("bias_plus_white: model", model, ArmaModel, hint="That of a fit is fit.model.")
+    poles = model.poles
+    if not poles.size:
+        if model.q:
+            raise ValueError(f"a pure moving average of order {model.q} holds no bias.")
+        return BiasPlusWhite(model.sd, 0.0, 0.0)
+    drives = np.array([_drive_power(model, i) for i in range(poles.size)])
+    real = (np.abs(poles.imag) < 1e-9) & (poles.real > 0.0)
+    slow = [int(i) for i in np.flatnonzero(real) if drives[i].real > 0.0]
+    bias = max(slow, key=lambda i: poles[i].real, default=None)
+    pole = float(poles[bias].real) if bias is not None else 0.0
+    drive = float(drives[bias].real) if bias is not None else 0.0
+    lines, spread = [], 0.0
+    for i in range(poles.size):
+        pole_i, radius = poles[i], float(abs(poles[i]))
+        if i == bias or pole_i.imag < 0.0:
+            continue
+        pair = 2.0 if pole_i.imag > 0.0 else 1.0
+        variance = pair * (drives[i] / (1.0 - pole_i**2)).real if radius < 1.0 else np.inf
+        if radius < _BRIEF:
+            spread += variance
+        elif variance > 0.0:
+            lines.append(Line(float(np.angle(pole_i) / (2.0 * np.pi)), radius, float(np.sqrt(variance))))
+    white = _white_power(model, poles, drives) + spread
+    if white < -1e-9 * model.sd**2:
+        raise ValueError(f"no split into bias + white noise: the white variance would be {white:.3g}.")
+    lines.sort(key=lambda line: -line.sd)
+    return BiasPlusWhite(float(np.sqrt(max(white, 0.0))), float(np.sqrt(drive)), pole, tuple(lines))
+
+
+def _drive_power(model: ArmaModel, i: int) -> complex:
+    """Residue of the spectrum at pole i: the power w of the term ``w / ((1 - p B)(1 - p/B))`` for a real pole."""
+    others = np.delete(model.poles, i)
+    p = model.poles[i]
+    ma = np.r_[1.0, model.ma][::-1]
+    numerator = np.polyval(ma, p) * np.polyval(ma, 1.0 / p)
+    return complex(model.sd**2 * numerator / np.prod(1.0 - others * p) / np.prod(1.0 - others / p))
+
+
+def _white_power(model: ArmaModel, poles: NDArray[np.complex128], drives: NDArray[np.complex128]) -> float:
+    """What the poles leave over, averaged over frequency (exactly constant when q <= p)."""
+    w = 2.0 * np.pi * (np.arange(512) + 0.5) / 512
+    z = np.exp(-1j * w)
+    response = np.polyval(np.r_[1.0, model.ma][::-1], z) / np.polyval(np.r_[1.0, model.ar][::-1], z)
+    total = model.sd**2 * np.abs(response) ** 2
+    parts = sum(d / ((1.0 - p * z) * (1.0 - p / z)) for p, d in zip(poles, drives, strict=True))
+    return float(np.mean(np.real(total - parts)))
+
+
+def split_bias(model: ArmaModel) -> tuple[float, ArmaModel]:
+    """Split a model with a pole at (or near) 1 into a random-walk bias and the independent rest.
+
+    The slowest real pole is taken as 1. Then ``sd^2 |C|^2 / |A|^2 = walk_sd^2 / |1 - z|^2 + |N|^2 / |A'|^2`` with
+    ``walk_sd = sd C(1) / A'(1)``; the rest's moving average N is the spectral factor of what remains. For ARMA(1, 1)
+    it is random walk + white noise (Muth 1960).
+
+    Parameters
+    ----------
+    model : ArmaModel
+        With at least one real positive pole.
+
+    Returns
+    -------
+    walk_sd : float
+        Standard deviation of the walk's step per sample.
+    rest : ArmaModel
+        Independent of the walk, with its covariance carried over to first order; ``sd`` 0 if nothing remains.
+
+    Raises
+    ------
+    ValueError
+        If no such sum has the model's spectrum (the rest would need a negative power somewhere).
+
+    Examples
+    --------
+    >>> walk_sd, rest = split_bias(ArmaModel([-1.0], [-0.9], 1.0))
+    >>> round(walk_sd, 6), rest.p, rest.q, round(rest.sd, 6)
+    (0.1, 0, 0, 0.948683)
+    """
+    walk_sd, ar, ma, sd = _split(model.ar, model.ma, model.sd)
+    if model.covariance is None:
+        return walk_sd, ArmaModel(ar, ma, sd, None, None, model.effective_window, model.flags)
+    theta, p = np.r_[model.ar, model.ma], model.p
+    jacobian = np.zeros((ar.size + ma.size, theta.size))
+    for i in range(theta.size):
+        # Towards a larger white part for the pole, away from the boundary of what can be split.
+        step = 1e-6 * max(1.0, abs(theta[i]))
+        try:
+            other = theta + step * (np.arange(theta.size) == i)
+            moved = _split(other[:p], other[p:], model.sd)
+        except ValueError:
+            continue
+        jacobian[:, i] = (np.r_[moved[1], moved[2]] - np.r_[ar, ma]) / step
+    covariance = jacobian @ model.covariance @ jacobian.T
+    window = model.effective_window or 1.0
+    spread = log_s0_sd(ar, ma, covariance, window)
+    return walk_sd, ArmaModel(ar, ma, sd, covariance, spread, model.effective_window, model.flags)
+
+
+def _split(ar: Array, ma: Array, sd: float) -> tuple[float, Array, Array, float]:
+    poles = np.roots(np.r_[1.0, ar])
+    slowest = slowest_real(poles, above=0.0)
+    if slowest is None:
+        raise ValueError(f"no real positive pole to split off, found {poles}.")
+    others = np.delete(poles, slowest)
+    rest = np.atleast_1d(np.poly(others)).real
+    lead = np.r_[1.0, ma]
+    walk = float(lead.sum() / rest.sum())
+    reach = max(lead.size, rest.size) - 1
+    power = np.zeros(2 * reach + 1)
+    for poly, weight in ((lead, 1.0), (rest, -(walk**2))):
+        both = weight * np.convolve(poly, poly[::-1])
+        power[reach - poly.size + 1 : reach + poly.size] += both
+    if reach == 0:
+        return abs(walk) * sd, rest[1:], np.zeros(0), 0.0
+    quotient = np.polydiv(power, np.array([-1.0, 2.0, -1.0]))[0]
+    numerator, scale = spectral_factor(quotient[reach - 1 :])
+    return abs(walk) * sd, rest[1:], numerator, scale * sd

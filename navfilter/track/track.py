@@ -1,0 +1,451 @@
+"""The result of a run: state, covariance, residuals, adopted models; its errors and consistency against a truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.filter.records import Residuals
+from navfilter.foundation import utc
+from navfilter.foundation.arguments import intervals, needs, rows_of
+from navfilter.foundation.display import Value
+from navfilter.kernels import strapdown
+from navfilter.models.error_models import block_level
+from navfilter.models.learned_arma import LearnedArma, learned_part
+from navfilter.models.mission import Stream
+from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
+from navfilter.track import table as views
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from navfilter.faults.lane_selection import LaneHistory
+    from navfilter.models.vehicle import Vehicle
+    from navfilter.timeseries.model import ArmaModel
+
+__all__ = ["Track", "TrackErrors"]
+
+Array = NDArray[np.float64]
+_TRUTH = "That of a mission is mission.truth."
+#: Fields with one row per time.
+_BY_ROW = (
+    "time_s",
+    "latitude",
+    "longitude",
+    "height",
+    "velocity_n",
+    "attitude",
+    "covariance",
+    "states",
+    "states_sd",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackErrors(Value):
+    """Estimated minus true along a track; NaN where there is no truth.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+    position_n, velocity_n : ndarray, shape (n, 3)
+        North, east, down [m], [m/s].
+    attitude : ndarray, shape (n, 3)
+        Rotation vector in n [rad].
+    heading : ndarray, shape (n,)
+        Heading error [rad].
+    """
+
+    time_s: Array
+    position_n: Array
+    velocity_n: Array
+    attitude: Array
+    heading: Array
+
+    @property
+    def horizontal(self) -> Array:
+        """Horizontal distance to the truth [m], shape (n,)."""
+        return np.hypot(self.position_n[:, 0], self.position_n[:, 1])
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        return views.errors_shown(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
+    """What a run found out.
+
+    Attributes
+    ----------
+    label : str
+        "forward": each state as the vehicle had it at its time, whatever was run again later. "revised": what the
+        run made of its past when it went back. "smoothed".
+    vehicle : Vehicle
+    mission_name : str
+    time_s : ndarray, shape (n,)
+    latitude, longitude : ndarray, shape (n,)
+        [rad].
+    height : ndarray, shape (n,)
+        [m].
+    velocity_n : ndarray, shape (n, 3)
+    attitude : ndarray, shape (n, 3)
+        Roll, pitch, heading [rad].
+    covariance : ndarray, shape (n, 9, 9)
+        Of position [m] in n, velocity [m/s] in n, attitude [rad] in n.
+    states, states_sd : ndarray, shape (n, k)
+        Estimates and standard deviations of sensor errors and parameters.
+    state_names, state_units : tuple of str
+    residuals : dict of str to Residuals
+    error_models : dict of str to list of (time_s, error model)
+        What was in force from when.
+    counts : dict of str to int
+        Irregularities of the drive: gaps, backward stamps, repaired samples; gates widened.
+    cpu_s : float
+        Processor time of the run [s].
+    forward : Track, optional
+        Of a smoothed track: the forward one.
+    revised : Track, optional
+        Of a forward track: with hindsight, where the beginning was run again with models that were learnt from it.
+    epoch_utc_s : float or None
+        UTC of mission time zero [s since 1970]; None where the mission does not know it.
+    bounds : ndarray, shape (n, 2), or None
+        Of a forward track: protection radius [m] and bound of the heading [rad], see
+        `navfilter.faults.protection_level`.
+    axes : tuple of (time_s, axis, condition)
+        When the condition of an axis of the inertial unit changed, as `Health.axes` names it.
+    lanes : tuple of (float, str)
+        Of a vehicle with lanes: from when [s] which was in force.
+    lane_history : LaneHistory or None
+        How well each lane foretold the readings, and why one was left for another, see
+        `navfilter.faults.lane_selection.LaneHistory`.
+    """
+
+    label: str
+    vehicle: Vehicle
+    mission_name: str
+    time_s: Array
+    latitude: Array
+    longitude: Array
+    height: Array
+    velocity_n: Array
+    attitude: Array
+    covariance: Array
+    states: Array
+    states_sd: Array
+    state_names: tuple[str, ...]
+    residuals: dict[str, Residuals]
+    error_models: dict[str, list[tuple[float, Any]]]
+    counts: dict[str, int] = field(default_factory=dict)
+    cpu_s: float = field(default=0.0, compare=False)
+    forward: Track | None = None
+    state_units: tuple[str, ...] = ()
+    revised: Track | None = None
+    epoch_utc_s: float | None = None
+    bounds: Array | None = None
+    axes: tuple[tuple[float, str, str], ...] = ()
+    lanes: tuple[tuple[float, str], ...] = ()
+    lane_history: LaneHistory | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def distance_m(self) -> float:
+        """Horizontal distance travelled [m], from the estimated velocity."""
+        speed = np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1])
+        return float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s)))
+
+    def travelled(self) -> Array:
+        """Horizontal distance travelled up to each row [m], shape (n,)."""
+        speed = np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1])
+        return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s))])
+
+    @property
+    def time_utc(self) -> NDArray[np.datetime64] | None:
+        """Its times as dates, datetime64[ns], shape (n,), UTC; None where the mission does not know UTC."""
+        return None if self.epoch_utc_s is None else utc.dates(self.time_s, self.epoch_utc_s)
+
+    def keep(self, rows: Any) -> Track:
+        """Only the given rows (a mask, a slice or indices); residuals and models stay whole."""
+        rows = rows_of(rows)
+        kept: dict[str, Any] = {name: getattr(self, name)[rows] for name in _BY_ROW}
+        bounds = None if self.bounds is None else self.bounds[rows]
+        return replace(self, forward=None, bounds=bounds, **kept)
+
+    def at(self, time_s: ArrayLike) -> Track:
+        """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter
+        way.
+
+        Raises
+        ------
+        ValueError
+            For times outside it, and for less than two rows.
+        """
+        times = np.atleast_1d(utc.seconds(time_s, "at: time_s"))
+        if len(self) < 2:
+            raise ValueError(f"between rows needs two of them, this track has {len(self)}.")
+        outside = ~((times >= self.time_s[0] - 1e-6) & (times <= self.time_s[-1] + 1e-6))
+        if outside.any():
+            raise ValueError(
+                f"{np.count_nonzero(outside)} of {len(times)} times lie outside this track, the first is "
+                f"{times[outside][0]:g} s: it goes from {self.time_s[0]:g} to {self.time_s[-1]:g} s."
+            )
+        after = np.clip(np.searchsorted(self.time_s, times), 1, len(self) - 1)
+        step = self.time_s[after] - self.time_s[after - 1]
+        share = np.clip((times - self.time_s[after - 1]) / step, 0.0, 1.0)
+
+        def between(rows: Array) -> Array:
+            part = share.reshape(-1, *(1,) * (rows.ndim - 1))
+            return rows[after - 1] + part * (rows[after] - rows[after - 1])
+
+        names = ("height", "velocity_n", "covariance", "states", "states_sd")
+        moved: dict[str, Any] = {name: between(getattr(self, name)) for name in names}
+        for name in ("latitude", "longitude", "attitude"):
+            moved[name] = between(np.unwrap(getattr(self, name), axis=0))
+        return replace(self, time_s=times, forward=None, revised=None, bounds=None, **moved)
+
+    def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
+        """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""
+        if abs(latitude or 0.0) > math.pi / 2 or abs(longitude or 0.0) > 2.0 * math.pi:
+            raise ValueError(f"local takes radians, found {latitude}, {longitude}: np.radians turns degrees into them.")
+        lat0 = self.latitude[:1] if latitude is None else latitude
+        lon0 = self.longitude[:1] if longitude is None else longitude
+        return _metres(self.latitude, self.longitude, self.height, lat0, lon0, 0.0)
+
+    def state(self, name: str) -> tuple[Array, Array]:
+        """Estimate and standard deviation of one error state or parameter over time."""
+        if name not in self.state_names:
+            raise ValueError(f'no state "{name}" on this track (states: {", ".join(self.state_names)}).')
+        i = self.state_names.index(name)
+        return self.states[:, i], self.states_sd[:, i]
+
+    def adopted(self) -> dict[str, list[dict[str, Any]]]:
+        """Every learnt model by sensor axis ("compass", "dvl x"), as plain values in the order of their times.
+
+        Returns
+        -------
+        dict of str to list of dict
+            "time_s" from when it was in force, "order" (p, q), "ar", "ma", "sd" (of the innovations), "s0" (spectral
+            density at zero frequency, ``sd^2 (C(1) / A(1))^2`` per sample), "sd_log_s0", "pole_radius" (the largest; 0
+            without poles), "flags", "frozen". SI units and radians. Axes that have none are left out.
+        """
+        found: dict[str, list[dict[str, Any]]] = {}
+        for name, history in self.error_models.items():
+            last: dict[str, LearnedArma] = {}
+            for time_s, error in history:
+                models = error if isinstance(error, tuple) else (error,)
+                axes = (
+                    getattr(self.vehicle.sensors.get(name), "axis_names", ("x", "y", "z")) if len(models) > 1 else ("",)
+                )
+                for axis, model in zip(axes, models, strict=True):
+                    title, part = f"{name} {axis}".strip(), learned_part(model)
+                    # what is no other than before is the adoption of another axis
+                    if part is not None and part.model is not None and last.get(title) != part:
+                        found.setdefault(title, []).append(_plain(time_s, part, part.model, self._period_s(name)))
+                        last[title] = part
+        return found
+
+    def _period_s(self, name: str) -> float:
+        """Sampling period of a sensor, or of the drive's own [s]."""
+        sensor = self.vehicle.sensors.get(name)
+        return self.vehicle.drive.period_s if sensor is None else 1.0 / sensor.rate_hz
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table with one row per time, in degrees and metres; every column names its unit. ``time_utc`` is there where
+        the mission knows UTC.
+        """
+        return views.frame(self)
+
+    def plot(self) -> Figure:
+        """A figure of the track: seen from above, its depth and heading, and how well the position is known.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``track.plot().savefig("track.png")`` keeps it.
+
+        Raises
+        ------
+        ValueError
+            For a track without rows.
+        """
+        from navfilter.track.plot import plot
+
+        return plot(self)
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        return views.shown(self)
+
+    def attitude_sd(self) -> Array:
+        """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation
+        vector in n.
+        """
+        _, pitch, heading = self.attitude.T
+        c, s, t, z, o = np.cos(heading), np.sin(heading), np.tan(pitch), np.zeros(len(self)), np.ones(len(self))
+        cp = np.cos(pitch)
+        J = np.stack([np.stack([c / cp, s / cp, z], -1), np.stack([-s, c, z], -1), np.stack([c * t, s * t, o], -1)], -2)
+        P = J @ self.covariance[:, 6:9, 6:9] @ np.swapaxes(J, 1, 2)
+        return np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+
+    def errors(self, truth: Stream) -> TrackErrors:
+        """Errors of the track, at its own times; the truth is interpolated (NaN outside it and across gaps in it longer
+        than 5 s).
+        """
+        needs("errors: truth", truth, Stream, hint=_TRUTH)
+        if len(truth.columns) != 9:
+            raise ValueError(f"errors: truth must have nine columns, found {', '.join(truth.columns)}. {_TRUTH}")
+        t = _interpolate(truth, self.time_s)
+        lat, lon, h = t[:, 0], t[:, 1], t[:, 2]
+        north_east_down = _metres(self.latitude, self.longitude, self.height, lat, lon, h)
+        C, C_true = matrix_from_euler(*self.attitude.T), matrix_from_euler(*t[:, 6:9].T)
+        attitude = np.full((len(self), 3), np.nan)
+        known = np.isfinite(t[:, 6:9]).all(axis=1)
+        attitude[known] = rotation_vector(C[known] @ np.swapaxes(C_true[known], 1, 2))
+        return TrackErrors(
+            self.time_s, north_east_down, self.velocity_n - t[:, 3:6], attitude, wrap(self.attitude[:, 2] - t[:, 8])
+        )
+
+    def nees(self, errors: TrackErrors) -> dict[str, Array]:
+        """Normalised estimation error squared per degree of freedom over time: position, velocity, attitude, heading
+        (NaN without truth).
+
+        Components without truth (a depth, a roll) are left out.
+        """
+        needs("nees: errors", errors, TrackErrors, hint="Those of a track are track.errors(mission.truth).")
+        P = self.covariance
+        result = {
+            "position": _nees(errors.position_n, P[:, :3, :3]),
+            "velocity": _nees(errors.velocity_n, P[:, 3:6, 3:6]),
+            "attitude": _nees(errors.attitude, P[:, 6:9, 6:9]),
+        }
+        with np.errstate(divide="ignore", invalid="ignore"):
+            result["heading"] = errors.heading**2 / self.attitude_sd()[:, 2] ** 2
+        return result
+
+    def summary(self, truth: Stream | None = None, windows: tuple[tuple[float, float], ...] = ()) -> dict[str, Any]:
+        """Figures of the run as they stand in ``summary.json``; None where there is no truth.
+
+        Parameters
+        ----------
+        truth : Stream, optional
+        windows : tuple of (float, float)
+            Times [s] to be scored; default all.
+        """
+        keys = (
+            "position_rms_m",
+            "position_max_m",
+            "position_end_m",
+            "position_end_pct",
+            "heading_rms_deg",
+            "velocity_rms_m_s",
+        )
+        needs("summary: truth", truth, Stream, type(None), hint=_TRUTH)
+        windows = intervals(windows, "summary: windows")
+        result: dict[str, Any] = dict.fromkeys((*keys, "nees_position", "nees_heading"))
+        if truth is not None and len(truth):
+            errors = self.errors(truth)
+            scored = np.ones(len(self), bool)
+            if windows:
+                scored = np.any([(self.time_s >= a) & (self.time_s <= b) for a, b in windows], axis=0)
+            horizontal = errors.horizontal[scored]
+            valid = horizontal[np.isfinite(horizontal)]
+            nees = self.nees(errors)
+            if valid.size:
+                result["position_rms_m"] = float(np.sqrt(np.mean(valid**2)))
+                result["position_max_m"], result["position_end_m"] = float(valid.max()), float(valid[-1])
+                result["position_end_pct"] = float(100.0 * valid[-1] / self.distance_m) if self.distance_m > 0 else None
+            result["heading_rms_deg"] = _rms(np.degrees(errors.heading[scored]))
+            result["velocity_rms_m_s"] = _rms(np.linalg.norm(errors.velocity_n[scored], axis=1))
+            result["nees_position"], result["nees_heading"] = (
+                _mean(nees["position"][scored]),
+                _mean(nees["heading"][scored]),
+            )
+        r = self.residuals
+        result["nis"] = {name: _mean(v.nis[v.used] / np.maximum(v.dof[v.used], 1)) for name, v in r.items()}
+        for outcome in ("used", "rejected", "invalid"):
+            result[outcome] = {name: v.count(outcome) for name, v in r.items()}
+        result["models"] = {
+            name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()
+        }
+        result["adopted"] = self.adopted()
+        result["cpu_s"] = self.cpu_s
+        return result
+
+
+def _plain(time_s: float, part: LearnedArma, model: ArmaModel, period_s: float) -> dict[str, Any]:
+    return {
+        "time_s": round(time_s, 3),
+        "order": [model.p, model.q],
+        "ar": model.ar.tolist(),
+        "ma": model.ma.tolist(),
+        "sd": model.sd,
+        "s0": block_level(part.block(period_s)),
+        "sd_log_s0": model.sd_log_s0,
+        "slow": [{"sd": p.sd, "tau_s": p.tau_s, "order": p.order} for p in part.slow_parts],
+        "pole_radius": float(np.abs(model.poles).max(initial=0.0)),
+        "flags": sorted(model.flags),
+        "frozen": part.frozen,
+    }
+
+
+def _mean(values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else None
+
+
+def _rms(values: Array) -> float | None:
+    mean = _mean(values**2)
+    return None if mean is None else math.sqrt(mean)
+
+
+def _nees(error: Array, P: Array) -> Array:
+    """Per degree of freedom, over the components whose truth is known (the same ones at all times)."""
+    known = np.isfinite(error).any(axis=0)
+    if not known.any():
+        return np.full(len(error), np.nan)
+    e, S = error[:, known], P[:, known][:, :, known]
+    rows = np.isfinite(e).all(axis=1)
+    result = np.full(len(e), np.nan)
+    if rows.any():
+        solved = np.einsum("nij,nj->ni", np.linalg.pinv(S[rows], hermitian=True), e[rows])
+        result[rows] = np.einsum("ni,ni->n", e[rows], solved) / e.shape[1]
+    return result
+
+
+def _metres(lat: Array, lon: Array, h: Array, lat0: Any, lon0: Any, h0: Any) -> Array:
+    """North, east, down [m] of points from reference points nearby."""
+    mid = 0.5 * (lat + lat0)
+    s2 = np.sin(mid) ** 2
+    prime = strapdown.EARTH_RADIUS / np.sqrt(1.0 - strapdown.EARTH_E2 * s2)
+    meridian = prime * (1.0 - strapdown.EARTH_E2) / (1.0 - strapdown.EARTH_E2 * s2)
+    height = 0.5 * (h + h0)
+    height = np.where(np.isfinite(height), height, 0.0)
+    return np.stack(
+        [(lat - lat0) * (meridian + height), wrap(lon - lon0) * (prime + height) * np.cos(mid), h0 - h + 0.0 * lat],
+        axis=-1,
+    )
+
+
+def _interpolate(truth: Stream, time_s: Array, longest_gap_s: float = 5.0) -> Array:
+    """Truth columns at other times; angles through the shorter way, NaN outside and across long gaps."""
+    result = np.full((len(time_s), truth.value.shape[1]), np.nan)
+    for c in range(truth.value.shape[1]):
+        column = truth.value[:, c]
+        good = np.isfinite(column)
+        if good.sum() < 2:
+            continue
+        t, v = truth.time_s[good], column[good]
+        if c in (1, 6, 7, 8):
+            v = np.unwrap(v)
+        after = np.clip(np.searchsorted(t, time_s, side="left"), 1, len(t) - 1)
+        inside = (time_s >= t[0] - 1e-6) & (time_s <= t[-1] + 1e-6)
+        near = (t[after] - t[after - 1] <= longest_gap_s) | (
+            np.minimum(np.abs(time_s - t[after]), np.abs(time_s - t[after - 1])) < 1e-6
+        )
+        result[:, c] = np.where(inside & near, np.interp(time_s, t, v), np.nan)
+    return result
