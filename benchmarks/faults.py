@@ -29,7 +29,7 @@ from faults_outcomes import VEHICLES, outcomes
 from faults_service import service
 
 import navfilter as nf
-from navfilter.navigation.alignment import align
+from navfilter.models.alignment import align
 
 DURATION_S, WINDOW, FIXES, SILENT, JUDGED = 480.0, (150.0, 210.0), (300.0, 340.0), (240.0, 270.0), (400.0, 480.0)
 WORST_NEES = 2.0

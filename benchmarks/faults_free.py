@@ -17,7 +17,7 @@ from harness import MAPPINGS, Options, Table, recorded
 
 import navfilter as nf
 from navfilter.faults import policy
-from navfilter.navigation.alignment import align
+from navfilter.models.alignment import align
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 

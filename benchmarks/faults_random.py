@@ -24,7 +24,7 @@ from honest_random import Case
 from random_vehicles import Random, between, chance
 
 import navfilter as nf
-from navfilter.faults.sensor_monitor import CALM
+from navfilter.models.health import CALM
 from navfilter.models.mission import Mission, Stream
 
 #: Scored from so long after the fault on [s].

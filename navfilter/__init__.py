@@ -26,7 +26,7 @@ __version__ = "0.1.0"
 
 #: Public names by the module that holds them; imported when first used, so that ``navfilter --help`` answers at once.
 _FACE = {
-    "navigation.alignment": "align",
+    "models.alignment": "align",
     "timeseries.polynomials": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
     "calibration.beacons": "locate_beacons",
     "calibration.calibrate": "Calibration calibrate",
@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from navfilter.io import read_mission as read_mission
     from navfilter.io import read_vehicle as read_vehicle
     from navfilter.io.tracks.formats import write_track as write_track
+    from navfilter.models.alignment import align as align
     from navfilter.models.error_models import Arma as Arma
     from navfilter.models.error_models import ErrorModel as ErrorModel
     from navfilter.models.error_models import GaussMarkov as GaussMarkov
@@ -110,7 +111,6 @@ if TYPE_CHECKING:
     from navfilter.models.start import Start as Start
     from navfilter.models.state import NavState as NavState
     from navfilter.models.vehicle import Vehicle as Vehicle
-    from navfilter.navigation.alignment import align as align
     from navfilter.navigation.lanes.navigator import LaneNavigator as LaneNavigator
     from navfilter.navigation.navigator import Navigator as Navigator
     from navfilter.navigation.navigator import Outcome as Outcome

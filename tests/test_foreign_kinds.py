@@ -14,7 +14,6 @@ from numba import njit
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
-from navfilter.filter.state_layout import Parameter
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
 from navfilter.io.vehicle_template import vehicle_template
@@ -22,6 +21,7 @@ from navfilter.kernels import open_loop_residual
 from navfilter.models.error_models import Block, ErrorModel, block_level
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.navigation_drift import Drift
+from navfilter.models.parameters import Parameter
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.traits import Columns, Example, Plausible
 from navfilter.playback.replay import drive_samples

@@ -11,8 +11,9 @@ from feeding import once_a_second
 from test_agreement import DIVE_S, FAULT_S, RADIUS_M, altered, dive, fly, turned
 
 import navfilter as nf
-from navfilter.faults.protection_level import IN_LINE, IN_PLANE, Trust, bounds, trust, whole_offset
+from navfilter.faults.protection_level import IN_LINE, IN_PLANE, bounds, trust, whole_offset
 from navfilter.io import read_vehicle, write_vehicle
+from navfilter.models.health import Trust
 from navfilter.service.protocol import state_fields, to_line
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey

@@ -12,7 +12,7 @@ from navfilter.calibration.parts import constants_of, opened
 from navfilter.check.description import describe_vehicle
 from navfilter.io import write_vehicle
 from navfilter.io.calibrated_toml import write_calibrated
-from navfilter.navigation.alignment import align
+from navfilter.models.alignment import align
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import COMPASS, survey, survey_vehicle, transit

@@ -5,10 +5,10 @@ import gc
 import numpy as np
 import pytest
 
+from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.input_buffer import PIECE, Kept, Rows
-from navfilter.navigation.history import Reading
 
 NAMES = ("compass", "dvl", "gps")
 
@@ -22,7 +22,7 @@ def some(n, seed=0, samples=40):
         else:
             i = int(rng.integers(3))
             sd = [None, 0.5, np.array([1.0, 2.0, 3.0])][int(rng.integers(3))]
-            items.append(Reading(NAMES[i], float(k), rng.normal(size=1 + i), sd, bool(k % 2), bool(k % 3)))
+            items.append(Measurement(NAMES[i], float(k), rng.normal(size=1 + i), sd, bool(k % 2), bool(k % 3)))
     return items
 
 
@@ -54,7 +54,7 @@ def test_what_was_kept_comes_back(samples):
 
 
 def test_many_at_once_are_one_after_the_other():
-    items = [item._replace(frozen=False) for item in some(400, samples=9) if isinstance(item, Reading)]
+    items = [item._replace(frozen=False) for item in some(400, samples=9) if isinstance(item, Measurement)]
     rows = np.random.default_rng(3).normal(size=(2 * PIECE, 7))
     before = np.sort(np.random.default_rng(4).integers(0, len(rows), len(items)))
     before[-1] = len(rows)
@@ -82,7 +82,7 @@ def test_those_until_a_time_come_before_the_others(first):
     """Where a block of samples ends later than that it is not among them, nor is what came after it."""
     items = []
     for i in range(60):
-        items += [np.full((3, 7), i + first), Reading("compass", i + 0.5, np.ones(1), None)]
+        items += [np.full((3, 7), i + first), Measurement("compass", i + 0.5, np.ones(1), None)]
     items[7] = items[7]._replace(time_s=40.0)  # has come late
     kept = kept_of(items)
     for time_s in (-1.0, 0.2, 0.5, 3.4, 3.7, 20.0, 59.2, 70.0):
@@ -133,6 +133,6 @@ def test_there_is_little_to_look_through():
     kept = Kept(NAMES)
     before = len(gc.get_objects())
     for item in some(3000, samples=3):
-        kept.append(item._replace(sd=None) if isinstance(item, Reading) else item)
+        kept.append(item._replace(sd=None) if isinstance(item, Measurement) else item)
     gc.collect()
     assert len(gc.get_objects()) - before < 20

@@ -11,12 +11,12 @@ from kernel_inputs import assert_close, random_nav, run_both
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.filter.delayed_measurement import Sight, by_drive
+from navfilter.filter.events import Measurement
 from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
 from navfilter.kernels.delayed_state import SLOPE_S, WINDOW_S
 from navfilter.models.state import NavState, matrix_from_euler
-from navfilter.navigation.history import Reading
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
@@ -515,7 +515,7 @@ def test_a_snapshot_has_what_has_waited_and_what_still_does():
             seen.add(len(nav.waiting.readings))
     assert max(seen) > 0
     good = nav.snapshot()
-    nav.waiting.put(Reading("sonar", 20.0, np.zeros(1), None))
+    nav.waiting.put(Measurement("sonar", 20.0, np.zeros(1), None))
     with pytest.raises(ValueError, match="cannot be read"):
         nf.Navigator.restore(vehicle, nav.snapshot())
     nf.Navigator.restore(vehicle, good)

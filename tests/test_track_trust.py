@@ -11,10 +11,10 @@ from feeding import events_of, one_by_one
 
 import navfilter as nf
 from navfilter.io.write import labelled, write_summary
-from navfilter.navigation.track_trust import Spell, integrity_figures, spells
 from navfilter.report.report import render_report
 from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.track.trust import Spell, integrity_figures, spells
 
 STUCK, TURNED, SILENT = (60.0, 80.0), (100.0, 120.0), (150.0, 175.0)
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter, constant_parameters
 from navfilter.models.mission import Mission
+from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.models.sensors import Sensor
 from navfilter.models.state import euler_from_matrix, matrix_from_euler, rotation_matrix
 from navfilter.models.vehicle import Vehicle

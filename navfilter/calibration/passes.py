@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 
 from navfilter.calibration.parts import constants_of, described
+from navfilter.models.alignment import align
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.alignment import align
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 

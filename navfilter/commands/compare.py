@@ -194,7 +194,7 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
         By name of the model.
     """
     from navfilter.evaluation.baselines import rivals
-    from navfilter.navigation.alignment import align
+    from navfilter.models.alignment import align
     from navfilter.playback.replay import replay
 
     say, bars = speaker(quiet), not quiet and sys.stderr.isatty()

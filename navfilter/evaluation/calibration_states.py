@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
-from navfilter.filter.state_layout import Parameter, constant_parameters
+from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.track.track import Track
 
 __all__ = ["Constant", "constant_doubts", "constants"]

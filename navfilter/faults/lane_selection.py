@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.foundation.display import Value, span
 from navfilter.models.mechanisation import Imu
 from navfilter.models.sensors import Sensor
 
-__all__ = ["STEP_S", "Choice", "ChoiceMemory", "LaneHistory"]
+__all__ = ["STEP_S", "Choice", "ChoiceMemory"]
 
 Array = NDArray[np.float64]
 #: Lanes are compared so often [s]: short beside what a wrong unit does to a position.
@@ -107,38 +106,6 @@ class ChoiceMemory:
     ahead: Array
     away: Array
     why: Array
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LaneHistory(Value):
-    """How the lanes of a vehicle did along a run.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the lanes.
-    time_s : ndarray, shape (n,)
-        When they were compared [s]; one in `HISTORY` of all comparisons.
-    gain, nis : ndarray, shape (n, lanes)
-        Of the minute before, means by component: how well a lane foretold the readings (8.3 at most, for a sensor that
-        is foretold as surely as it errs), and the square of residual over predicted sd (1 is honest).
-    reasons : tuple of str
-        Why each of the lanes after the first was taken, as `Track.lanes` has them.
-    """
-
-    names: tuple[str, ...]
-    time_s: Array
-    gain: Array
-    nis: Array
-    reasons: tuple[str, ...]
-
-    def _shown(self) -> tuple[str, dict[str, object]]:
-        rows: dict[str, object] = {}
-        for name, gain in zip(self.names, self.gain.T, strict=True):
-            known = gain[np.isfinite(gain)]
-            rows[name] = f"mean gain {known.mean():.3g}" if len(known) else "never compared"
-        rows["left"] = "; ".join(self.reasons) or None
-        return f"LaneHistory{span(self.time_s)}, {len(self.time_s)} comparisons", rows
 
 
 class Choice:

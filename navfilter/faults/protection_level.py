@@ -22,13 +22,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Bounds", "Trust", "bounds", "trust", "whole_offset"]
+from navfilter.models.health import LOST_HEADING, LOST_VELOCITY, MARGIN, Trust
+
+__all__ = ["bounds", "trust", "whole_offset"]
 
 Array = NDArray[np.float64]
 
@@ -38,46 +39,11 @@ RISK = 1e-3
 IN_PLANE, IN_LINE = math.sqrt(-2.0 * math.log(RISK)), 3.2905
 #: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
 CONFIRMED_S = 30.0
-#: A state that exceeds what the vehicle can do by this factor is none [1]: noise and waves are less.
-MARGIN = 1.2
-#: Beyond this sd of the velocity [m/s] or of the heading [rad] there is no dead reckoning.
-LOST_VELOCITY, LOST_HEADING = 1.0, math.radians(30.0)
 #: Fixes to which a state was set against what was believed are right once that is so long ago [s]: a receiver that has
 #: come up with a wrong place finds the right one sooner.
 FOLLOWED_S = 120.0
 #: Fixes are there while the last one is so old at most [s].
 PRESENT_S = 5.0
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Protection radius of the position and bound of the heading.
-
-    Attributes
-    ----------
-    horizontal_m, heading_rad : float
-        The truth lies within them 99.9 % of the time, under any single fault of a sensor that has not been found.
-    """
-
-    horizontal_m: float
-    heading_rad: float
-
-
-@dataclass(frozen=True)
-class Trust:
-    """Whether the state is to be trusted.
-
-    Attributes
-    ----------
-    level : str
-        "good", "degraded" (something does not help, the bounds say what that costs) or "lost" (the state is that of no
-        vehicle, or nothing bounds it any more).
-    reasons : tuple of str
-        In words.
-    """
-
-    level: str
-    reasons: tuple[str, ...] = ()
 
 
 def bounds(

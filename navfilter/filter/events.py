@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["Correction", "Event", "Listening", "Outcome", "Passed", "Propagated", "Relaid", "StoodIn"]
+__all__ = ["Correction", "Event", "Listening", "Measurement", "Outcome", "Passed", "Propagated", "Relaid", "StoodIn"]
 
 Array = NDArray[np.float64]
 
@@ -94,3 +94,16 @@ class Relaid(NamedTuple):
 Event = Correction | Propagated | Passed | StoodIn | Relaid
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
+
+
+class Measurement(NamedTuple):
+    """A reading as it arrived; `same` when it had the value of the one before, `frozen` when that had not changed for
+    suspiciously long.
+    """
+
+    name: str
+    time_s: float
+    value: Array
+    sd: Any
+    frozen: bool = False
+    same: bool = False

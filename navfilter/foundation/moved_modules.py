@@ -7,7 +7,7 @@ __all__ = ["refuse_moved"]
 _PACKAGE = "navfilter."
 #: Old path and new path, a line each, without the package.
 _MOVED = """
-alignment navigation.alignment
+alignment models.alignment
 arma timeseries
 arma.algebra timeseries.polynomials
 arma.choice timeseries.order_criterion
@@ -213,8 +213,8 @@ start models.start
 state models.state
 track_bounds navigation.track_bounds
 track_plot track.plot
-track_trust navigation.track_trust
-track_views track.table
+track_trust track.trust
+track_views track.track
 utc foundation.utc
 vehicle models.vehicle
 warming playback.warm_up

@@ -21,8 +21,8 @@ from navfilter.io.tracks.tum import write_truth
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
-from navfilter.navigation.track_trust import integrity_figures
 from navfilter.track.track import Track
+from navfilter.track.trust import integrity_figures
 
 __all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from navfilter.faults.sensor_monitor import LearningHealth
+from navfilter.models.health import LearningHealth
 
 __all__ = ["Task", "Worker"]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from navfilter.faults.sensor_monitor import Watch
 from navfilter.filter.sensor_channel import Channel
+from navfilter.kernels.batch import STUCK_S
 
 __all__ = ["doubtful_ticks"]
 
@@ -17,7 +17,7 @@ def doubtful_ticks(channel: Channel, time_s: float) -> int:
     """
     memory, refused = channel.memory, channel.memory.refused
     if channel.stuck:
-        return round(Watch.STUCK_S / channel.period_s) + 1
+        return round(STUCK_S / channel.period_s) + 1
     if refused is not None and refused.jumped and refused.count >= JUMPED:
         return round((time_s - memory.rejected_since_s) / channel.period_s) + 1
     return int(channel.offset)

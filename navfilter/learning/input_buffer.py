@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.navigation.history import Reading
+from navfilter.filter.events import Measurement
 
 __all__ = ["Kept", "Rows"]
 
@@ -113,7 +113,7 @@ class Kept:
         """Samples and readings."""
         return self.samples.count, self.readings.count
 
-    def append(self, item: Array | Reading) -> None:
+    def append(self, item: Array | Measurement) -> None:
         """Add an input."""
         if isinstance(item, np.ndarray):
             self.samples.append(item)
@@ -228,11 +228,11 @@ class Kept:
         k = int(np.argmax(later))
         return int(begins[k] if latest[k] > time_s else ends[k]), k
 
-    def inputs(self, after: tuple[int, int] = (0, 0)) -> list[Array | Reading]:
+    def inputs(self, after: tuple[int, int] = (0, 0)) -> list[Array | Measurement]:
         """All of them after so many samples and readings; samples that follow each other are one block."""
         samples, heads = self.samples.whole(self.samples.count), self.readings.whole(self.readings.count)
         values = self.values.whole(self.values.count)[:, 0]
-        result: list[Array | Reading] = []
+        result: list[Array | Measurement] = []
         begin, done = after
         first = int(heads[done - 1, VALUES]) if done else 0
         for k, (time_s, sensor, frozen, same, *ends) in enumerate(heads[done:].tolist(), done):
@@ -240,6 +240,8 @@ class Kept:
             if before > begin:
                 result.append(samples[begin:before])
             value = values[first:last].copy()
-            result.append(Reading(self.names[int(sensor)], time_s, value, self.sds.get(k), bool(frozen), bool(same)))
+            result.append(
+                Measurement(self.names[int(sensor)], time_s, value, self.sds.get(k), bool(frozen), bool(same))
+            )
             begin, first = before, last
         return [*result, samples[begin:]] if begin < len(samples) else result

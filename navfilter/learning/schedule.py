@@ -9,7 +9,7 @@ from weakref import WeakMethod
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
+from navfilter.filter.events import Correction, Event, Measurement, Outcome, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
 from navfilter.filter.model_change import Change, adoption
 from navfilter.filter.sensor_channel import Channel
@@ -24,7 +24,6 @@ from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSer
 from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import as_described, learning_part
-from navfilter.navigation.history import Reading
 
 __all__ = ["LearningSchedule"]
 
@@ -291,7 +290,7 @@ class LearningSchedule:
         return [Change(name, models) for name, models in rest.learn().items()]
 
     # ---------------------------------------------------------------- the beginning
-    def keep(self, item: Array | Reading) -> None:
+    def keep(self, item: Array | Measurement) -> None:
         """Keep an input of the beginning: samples, or a reading."""
         if self.beginning is not None:
             self.beginning.append(item)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FOUND_S", "Drift"]
+__all__ = ["FOUND_S", "Drift", "DriftSource"]
 
 Array = NDArray[np.float64]
 #: Time in which a filter finds a wrong force [s]: before a drift begins anew, so much of a series is worth nothing.
@@ -115,6 +116,26 @@ class Drift:
         """
         scale = self.period_s ** np.arange(self.order)
         return np.vstack([self.noise() * np.outer(scale, scale), np.square(scale * self.start_sd)])
+
+
+class DriftSource(Protocol):
+    """A mechanisation, as a sensor sees it: the known noise of a navigation error in an open-loop residual.
+
+    `walk` is the random walk of the sensor itself, as a root power spectral density of its rate; `period_s` is the
+    sampling period.
+    """
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """Of the heading error; walk in rad/s/sqrt(Hz)."""
+        ...
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """Of one component of the velocity error; walk in m/s^2/sqrt(Hz)."""
+        ...
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """Of one component of the position error; walk in m/s/sqrt(Hz)."""
+        ...
 
 
 def _chain_transition(r: int, period_s: float) -> Array:

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults.protection_level import Bounds, Trust
-from navfilter.faults.sensor_monitor import Health
 from navfilter.foundation.display import Value, few
 from navfilter.kernels import strapdown
+from navfilter.models.health import Bounds, Health, Trust
 
 __all__ = ["NavState", "Pose", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
 

@@ -14,17 +14,17 @@ from navfilter.faults.clocks.imu_clock import DriveClock
 from navfilter.faults.imu import bias_drift
 from navfilter.faults.noise_scale import Scatter
 from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.events import Measurement
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import noise_scale as scatters
 from navfilter.kernels import open_loop_residual, strapdown
-from navfilter.navigation.history import Reading
 from navfilter.navigation.measurements import Readings
 
 if TYPE_CHECKING:
-    from navfilter.navigation.navigator import Navigator
+    from navfilter.navigation.run import Run
 
 __all__ = ["Passage"]
 
@@ -50,7 +50,7 @@ class Passage:
 
     Parameters
     ----------
-    nav : Navigator
+    nav : Run
         Without a history, and without threads.
     times, values : ndarray, shapes (n,) and (n, 6)
         Samples of the drive.
@@ -63,7 +63,7 @@ class Passage:
 
     def __init__(
         self,
-        nav: Navigator,
+        nav: Run,
         times: Array,
         values: Array,
         readings: Readings,
@@ -180,12 +180,12 @@ class Passage:
         self._ends = self._samples_before()
         self.at, self._waits, self._steady = 0, False, False
 
-    def _reading(self, at: int, frozen: bool = False) -> Reading:
+    def _reading(self, at: int, frozen: bool = False) -> Measurement:
         """One that the kernel has taken, as the run would have had it."""
         given = self._readings
         value = np.array(given.value(at), dtype=np.float64).reshape(-1)
         name, same = given.names[given.sensor[at]], bool(self._same[at])
-        return Reading(name, float(given.time_s[at]), value, given.sd(at), frozen, same)
+        return Measurement(name, float(given.time_s[at]), value, given.sd(at), frozen, same)
 
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.learning_memory import Again, LearningMemory
-from navfilter.navigation.history import Reading
 from navfilter.navigation.passage_again import PassageAgain
 
 if TYPE_CHECKING:
-    from navfilter.navigation.navigator import Navigator
+    from navfilter.navigation.run import Run
 
 __all__ = ["Beginning"]
 
@@ -36,7 +36,7 @@ class Beginning:
 
     Parameters
     ----------
-    nav : Navigator
+    nav : Run
     worker : Worker
         With threads a twin does it; the results are the same to the last bit.
 
@@ -46,7 +46,7 @@ class Beginning:
         Who follows the run at present.
     """
 
-    def __init__(self, nav: Navigator, worker: Worker) -> None:
+    def __init__(self, nav: Run, worker: Worker) -> None:
         self._nav, self._worker = nav, worker
         self.twin: Twin | None = None
         self._goes_back = False
@@ -60,13 +60,13 @@ class Beginning:
         finally:
             self._goes_back = False
 
-    def give(self, item: Array | Reading) -> None:
+    def give(self, item: Array | Measurement) -> None:
         """An input of the run, before samples are taken and after a reading has been: then what waits has its turn."""
         self.follow(item)
-        if isinstance(item, Reading):
+        if isinstance(item, Measurement):
             self._worker.turn()
 
-    def follow(self, item: Array | Reading) -> None:
+    def follow(self, item: Array | Measurement) -> None:
         """As `give`, but nothing that waits has its turn."""
         if self._nav.learning.again is None:
             self.twin = None
@@ -107,7 +107,7 @@ class Beginning:
             self.twin = Twin(self._nav, again, self._worker)
 
 
-def _change_places(nav: Navigator, other: Navigator) -> None:
+def _change_places(nav: Run, other: Run) -> None:
     """Let a run be where another one is, and that have what is left."""
     if nav.history is not None and other.history is not None:
         nav.history.change_places(other.history)
@@ -137,7 +137,7 @@ class Twin:
 
     Parameters
     ----------
-    nav : Navigator
+    nav : Run
         Whose beginning is to be done again; it must have kept its inputs.
     again : Again
     worker : Worker
@@ -149,9 +149,9 @@ class Twin:
     #: So long before it is awaited it is given each reading at once [s], so that next to nothing is left to be done.
     CLOSE_S = 0.5
 
-    def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
+    def __init__(self, nav: Run, again: Again, worker: Worker) -> None:
         self.again, self._worker, self._close_s = again, worker, nav.learning.early_s - self.CLOSE_S
-        self._inputs: deque[Array | Reading] = deque()
+        self._inputs: deque[Array | Measurement] = deque()
         learning = copied(nav.learning.memory)
         learning.beginning = learning.beginning and learning.beginning.so_far()
         self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
@@ -159,10 +159,12 @@ class Twin:
         #: A fork may have been made in the middle of its work, and has no thread that would end it.
         self.process = os.getpid()
 
-    def give(self, item: Array | Reading) -> None:
+    def give(self, item: Array | Measurement) -> None:
         """The next input."""
         self._inputs.append(item)
-        if not isinstance(item, Reading) or not (len(self._inputs) >= self.TOGETHER or item.time_s >= self._close_s):
+        if not isinstance(item, Measurement) or not (
+            len(self._inputs) >= self.TOGETHER or item.time_s >= self._close_s
+        ):
             return
         if self._drained is None or self._drained.done():
             self._drained = self._worker.begin(self._follow)
@@ -178,7 +180,7 @@ class Twin:
             for item in joined([self._inputs.popleft() for _ in range(len(self._inputs))]):
                 self.run.given(item)
 
-    def arrived(self) -> Navigator:
+    def arrived(self) -> Run:
         """The run, when it has come as far as the one it is a twin of."""
         self._task.answer()
         if self._drained is not None:
@@ -187,26 +189,27 @@ class Twin:
         return self.run
 
     @property
-    def run(self) -> Navigator:
+    def run(self) -> Run:
         """As far as it has come; waits until it has begun."""
-        run: Navigator = self._task.answer()
+        run: Run = self._task.answer()
         return run
 
 
-def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Navigator:
+def _begun(of: Run, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Run:
     """A twin of a run that has begun again."""
     history_s = 0.0 if of.history is None else of.history.length_s
-    twin = type(of)(of.vehicle, of.start, history_s=history_s, threads=False)
+    kind: Any = type(of)
+    twin: Run = kind(of.vehicle, of.start, history_s=history_s, threads=False)
     for name, memory in learning.listeners.items():
         memory.ring = np.full_like(memory.ring, np.nan)
         if name not in twin.learning.listeners:
-            twin.listen(name, memory.ring.shape[1])
+            twin.learning.listen(name, memory.ring.shape[1])
     twin.learning.memory = learning
     _begin_again(twin, again, until_s, now_s)
     return twin
 
 
-def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> None:
+def _begin_again(nav: Run, again: Again, until_s: float, now_s: float) -> None:
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
     nav.filter.counts["adopted"] = again.adopted

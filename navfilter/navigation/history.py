@@ -7,31 +7,18 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.events import Outcome
+from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import copied
 
-__all__ = ["History", "Reading", "Run"]
+__all__ = ["History", "Run"]
 
 Array = NDArray[np.float64]
-
-
-class Reading(NamedTuple):
-    """A reading as it arrived; `same` when it had the value of the one before, `frozen` when that had not changed for
-    suspiciously long.
-    """
-
-    name: str
-    time_s: float
-    value: Array
-    sd: Any
-    frozen: bool = False
-    same: bool = False
 
 
 class Run(Protocol):
@@ -47,7 +34,7 @@ class Run(Protocol):
     def offset_s(self) -> float:
         """By how much stamps are moved since the clock was set [s]."""
 
-    def feed(self, item: Array | Reading) -> Outcome | None:
+    def feed(self, item: Array | Measurement) -> Outcome | None:
         """Take samples (rows of time and six values) or a reading, in order."""
 
 
@@ -77,7 +64,7 @@ class History:
     def begin(self) -> None:
         """Forget everything: the run starts anew."""
         self._marks: list[tuple[float, int, Any]] = []  # time, number of the next input, memory of the run
-        self._log: list[Array | Reading] = []
+        self._log: list[Array | Measurement] = []
         self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
         self._first = 0  # number of the first input in the log
         self.marked_s = -math.inf
@@ -89,7 +76,7 @@ class History:
             setattr(self, name, getattr(other, name))
             setattr(other, name, own)
 
-    def feed(self, item: Array | Reading) -> Outcome | None:
+    def feed(self, item: Array | Measurement) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""
         run = self.run
         now, shift = run.time_s, run.offset_s
@@ -109,7 +96,7 @@ class History:
         """When the next checkpoint before a reading is due [s]."""
         return self.marked_s + self.SPACING_S
 
-    def note(self, item: Array | Reading, shift: float) -> None:
+    def note(self, item: Array | Measurement, shift: float) -> None:
         """Behind an input: keep it, and by how much stamps were moved."""
         self._log.append(item)
         self._shifts.append(shift)
@@ -127,7 +114,7 @@ class History:
             del self._log[: number - self._first], self._shifts[: number - self._first]
             self._first = number
 
-    def late(self, reading: Reading) -> Outcome | None:
+    def late(self, reading: Measurement) -> Outcome | None:
         """Put a late reading in its place; None when the place lies before the history."""
         # strictly before it, for readings of one time have an order; only the very first checkpoint stands before all
         # readings of its time
@@ -136,7 +123,7 @@ class History:
             at = 0
         if at < 0:
             return None
-        if any(isinstance(i, Reading) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
+        if any(isinstance(i, Measurement) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
             return Outcome("duplicate")
         marked_s, number, memory = self._marks[at]
         again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
@@ -151,7 +138,7 @@ class History:
                 result = outcome
         return result
 
-    def kept(self) -> tuple[Any, list[Array | Reading]]:
+    def kept(self) -> tuple[Any, list[Array | Measurement]]:
         """The oldest checkpoint and everything fed since: all that is needed to come to the present state again."""
         if not self._marks:
             return self.run.memory, []
@@ -159,15 +146,15 @@ class History:
 
 
 def _in_place(
-    items: list[Array | Reading], shifts: list[float], reading: Reading, order: list[str]
-) -> list[Array | Reading]:
+    items: list[Array | Measurement], shifts: list[float], reading: Measurement, order: list[str]
+) -> list[Array | Measurement]:
     """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a
     replay has it.
     """
-    before: list[Array | Reading] = []
-    after: list[Array | Reading] = []
+    before: list[Array | Measurement] = []
+    after: list[Array | Measurement] = []
     for item, offset_s in zip(items, shifts, strict=True):
-        if isinstance(item, Reading):
+        if isinstance(item, Measurement):
             first = (item.time_s, order.index(item.name)) < (reading.time_s, order.index(reading.name))
             (before if first else after).append(item)
             continue

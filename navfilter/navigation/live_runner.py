@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.imu import bias_drift
-from navfilter.filter.events import Outcome
+from navfilter.filter.events import Measurement, Outcome
 from navfilter.kernels import batch, strapdown
 from navfilter.learning.input_buffer import PIECE
-from navfilter.navigation.history import Reading
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
     from navfilter.learning.input_buffer import Kept
-    from navfilter.navigation.navigator import Navigator
+    from navfilter.navigation.run import Run
 
 __all__ = ["Prompt", "PromptSample", "prompt_sample", "prompts"]
 
@@ -69,14 +68,14 @@ class PromptSample:
 
     Parameters
     ----------
-    nav : Navigator
+    nav : Run
         With a history, and a drive of whose samples nothing is felt or learnt.
     """
 
     _memory: FilterMemory
     _kept: Kept | None
 
-    def __init__(self, nav: Navigator) -> None:
+    def __init__(self, nav: Run) -> None:
         assert nav.history is not None
         self._nav, self._history, self._as_of, self._most = nav, nav.history, -1, nav.filter.fold_every - 1
         self._hand = Hand(batch.HELD_FOR_SAMPLES)
@@ -140,7 +139,7 @@ class Prompt:
 
     Parameters
     ----------
-    nav : Navigator
+    nav : Run
         With a history.
     name : str
     """
@@ -149,7 +148,7 @@ class Prompt:
     _memory: FilterMemory
     _kept: Kept | None
 
-    def __init__(self, nav: Navigator, name: str) -> None:
+    def __init__(self, nav: Run, name: str) -> None:
         assert nav.history is not None
         sensor = nav.vehicle.sensors[name]
         self._nav, self._name, self._history = nav, name, nav.history
@@ -214,7 +213,7 @@ class Prompt:
         memory.unfolded, watch.value = 0, raw
         if early_s > batch.SAME_S and memory.drv.item(strapdown.STARTED):
             memory.time_s = time_s
-        given = _made(Reading, (self._name, time_s, z, None, False, False))
+        given = _made(Measurement, (self._name, time_s, z, None, False, False))
         if full and kept is not None:
             kept.append(given)
             nav.changes += 1  # the pieces in hand are others now
@@ -241,7 +240,7 @@ class Prompt:
             nav.learning.worker.turn()
         return outcome
 
-    def _judged(self, given: Reading, read: Array) -> Outcome:
+    def _judged(self, given: Measurement, read: Array) -> Outcome:
         """What becomes of a reading that a gate has refused; read: what the kernel has taken."""
         channel, nav = self._channel, self._nav
         channel.reading, channel.count = read.copy(), int(self._facts[batch.TICKED])
@@ -315,14 +314,14 @@ class Prompt:
         return True
 
 
-def prompt_sample(nav: Navigator) -> PromptSample | None:
+def prompt_sample(nav: Run) -> PromptSample | None:
     """That of a navigator, where samples may be ordinary ones."""
     filter = nav.filter
     plain = nav.history is not None and nav.learning.rest is None and not (filter.feels_after or filter.jumps.active)
     return PromptSample(nav) if plain else None
 
 
-def prompts(nav: Navigator) -> dict[str, Prompt]:
+def prompts(nav: Run) -> dict[str, Prompt]:
     """Those of a navigator, by sensor: of readings that need not wait, where they may come late and no jump of the
     drive is looked for.
     """

@@ -18,6 +18,7 @@ from navfilter.faults.refusals import Refusals
 from navfilter.faults.sensor_monitor import Watch
 from navfilter.faults.velocity_fault import Aside
 from navfilter.filter.channel_memory import ChannelMemory
+from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.imu_intake import IntakeMemory
 from navfilter.filter.model_change import Change
@@ -30,7 +31,6 @@ from navfilter.learning.series_memory import Hop, ListenerMemory
 from navfilter.learning.slow_posterior import Line
 from navfilter.learning.static_recorder import RestMemory
 from navfilter.models.spectrum import Spectrum
-from navfilter.navigation.history import Reading
 
 __all__ = ["MEMORY", "LaneMemory", "LanesMemory", "NavigatorMemory", "check_watches"]
 
@@ -57,12 +57,12 @@ class LaneMemory:
     ----------
     run : NavigatorMemory
     watches : dict of str to Watch
-    waiting : list of Reading
+    waiting : list of Measurement
     """
 
     run: NavigatorMemory
     watches: dict[str, Watch]
-    waiting: list[Reading]
+    waiting: list[Measurement]
 
 
 @dataclass

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
-from navfilter.faults.sensor_monitor import Health, Watch
-from navfilter.filter.events import Event, Outcome
+from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.events import Event, Measurement, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors
 from navfilter.filter.imu_intake import samples_of
@@ -22,12 +22,13 @@ from navfilter.foundation.state_values import misfit
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.models.health import Health
 from navfilter.models.start import Start
 from navfilter.models.state import NavState, Pose
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation import snapshot as snapshots
 from navfilter.navigation.early_rerun import Beginning
-from navfilter.navigation.history import History, Reading
+from navfilter.navigation.history import History
 from navfilter.navigation.live_runner import prompt_sample, prompts
 from navfilter.navigation.memory import MEMORY, NavigatorMemory, check_watches
 from navfilter.navigation.status import Running, health_of, state_of
@@ -205,7 +206,7 @@ class Navigator(Running):
         self.changes += 1
         name, time_s, z, sd = arrived
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
-        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd)
+        reading = Measurement(name, time_s + self.filter.channels[name].lead_s, z, sd)
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")
@@ -224,23 +225,23 @@ class Navigator(Running):
         for reading in self.waiting.due(time_s) if self.waiting.readings else ():
             self.take(reading)
 
-    def take(self, reading: Reading) -> Outcome:
+    def take(self, reading: Measurement) -> Outcome:
         """Take a reading now, even one that would wait; users call `correct`."""
         watch = self.watches[reading.name]
-        reading = Reading(*reading[:4], *watch.sees(reading.time_s, reading.value))
+        reading = Measurement(*reading[:4], *watch.sees(reading.time_s, reading.value))
         outcome = self.placed(reading)
         self.beginning.give(reading)
         watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
-    def given(self, item: Array | Reading) -> None:
+    def given(self, item: Array | Measurement) -> None:
         """Take an input as another run has: samples, or a reading in its place."""
         if isinstance(item, np.ndarray):
             self._carry(item)
         else:
             self.placed(item)
 
-    def placed(self, reading: Reading) -> Outcome:
+    def placed(self, reading: Measurement) -> Outcome:
         """Take a reading where its time says."""
         history, filter, outcome = self.history, self.filter, None
         if history is None:
@@ -256,7 +257,7 @@ class Navigator(Running):
                 outcome = outcome._replace(status="late-replayed")
         return outcome or Outcome("too-late")
 
-    def feed(self, item: Array | Reading) -> Outcome | None:
+    def feed(self, item: Array | Measurement) -> Outcome | None:
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
         if isinstance(item, np.ndarray):
             self.learning.keep(item)
@@ -442,7 +443,7 @@ class Navigator(Running):
         memory.learning.revive(tuple(self.filter.channels))
         self.memory = memory
 
-    def _given(self, item: Array | Reading) -> None:
+    def _given(self, item: Array | Measurement) -> None:
         """An input of a snapshot, again."""
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")

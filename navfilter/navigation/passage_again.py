@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.events import Measurement
 from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, Kept
 from navfilter.navigation.batch_runner import Passage
-from navfilter.navigation.history import Reading
 from navfilter.navigation.measurements import Readings
 
 if TYPE_CHECKING:
-    from navfilter.navigation.navigator import Navigator
+    from navfilter.navigation.run import Run
 
 __all__ = ["PassageAgain"]
 
@@ -27,11 +27,11 @@ class PassageAgain(Passage):
 
     Parameters
     ----------
-    nav : Navigator
+    nav : Run
     inputs : Kept
     """
 
-    def __init__(self, nav: Navigator, inputs: Kept) -> None:
+    def __init__(self, nav: Run, inputs: Kept) -> None:
         samples, heads = inputs.samples.whole(inputs.samples.count), inputs.readings.whole(inputs.readings.count)
         flat, names = inputs.values.whole(inputs.values.count)[:, 0], tuple(nav.filter.channels)
         self._frozen, self._as_before = heads[:, FROZEN] != 0.0, heads[:, AS_BEFORE] != 0.0
@@ -70,7 +70,7 @@ class PassageAgain(Passage):
     def _correct(self, at: int) -> None:
         self.nav.feed(self._reading(at))
 
-    def _reading(self, at: int, frozen: bool = False) -> Reading:
+    def _reading(self, at: int, frozen: bool = False) -> Measurement:
         return super()._reading(at, bool(self._frozen[at]))
 
     def _finish(self) -> None:

@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 
 from navfilter.faults.clocks.imu_clock import DriveClockMemory
 from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.events import Measurement
 from navfilter.foundation.arguments import needs
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.history import Reading
 from navfilter.timeseries.model import ArmaModel
 
 __all__ = ["Saved", "content", "fingerprint", "read", "write"]
@@ -54,21 +54,21 @@ class Saved:
         Length of the history [s]; 0 without one.
     memory : object
         Of the navigator, at the oldest checkpoint.
-    inputs : list of ndarray or Reading
+    inputs : list of ndarray or Measurement
         Samples and readings since.
     watches : dict of str to Watch
     clock : DriveClockMemory
-    waiting : list of Reading
+    waiting : list of Measurement
         Those that are still to be taken.
     """
 
     start: Start
     history_s: float
     memory: Any
-    inputs: list[NDArray[np.float64] | Reading]
+    inputs: list[NDArray[np.float64] | Measurement]
     watches: dict[str, Watch]
     clock: DriveClockMemory
-    waiting: list[Reading]
+    waiting: list[Measurement]
 
 
 def fingerprint(vehicle: Vehicle) -> str:
@@ -187,7 +187,7 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
                 raise ValueError(f"{damaged} is damaged")
         with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("meta", "floats", "integers")}
-        saved = from_arrays(arrays, [Saved, Start, Watch, Reading, ErrorModel, ArmaModel, *kinds])
+        saved = from_arrays(arrays, [Saved, Start, Watch, Measurement, ErrorModel, ArmaModel, *kinds])
     except Exception as error:  # numpy, zipfile, zlib and json raise many unrelated types on broken archives
         raise unreadable(error) from error
     if not isinstance(saved, Saved):

@@ -15,10 +15,11 @@ from navfilter.faults.alternative_path import since_fix
 from navfilter.faults.bias_plausibility import MOST_SDS, beside
 from navfilter.faults.clocks.imu_clock import DriveClock
 from navfilter.faults.heading_fault import led_astray, told_by_fixes
-from navfilter.faults.sensor_monitor import CALM, Health, LearningHealth, Watch
+from navfilter.faults.sensor_monitor import Watch
 from navfilter.filter.filter import Filter
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.display import Shown
+from navfilter.models.health import CALM, Bounds, Health, LearningHealth
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.state import NavState
 
@@ -102,7 +103,7 @@ def health_of(
         dict(memory.counts) | clock.counts,
         memory.intake.offset_s,
         axes,
-        protection_level.Bounds(float(radius_m), float(heading_rad)),
+        Bounds(float(radius_m), float(heading_rad)),
         protection_level.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
         filter.watch.lane(memory.watch),
         clock.memory.offset_s,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.records import Tape
 from navfilter.filter.rts_smoother import smooth_rows
-from navfilter.filter.state_layout import constant_parameters
+from navfilter.models.parameters import constant_parameters
 from navfilter.models.state import euler_from_matrix, rotation_matrix
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.track_bounds import bounds_along

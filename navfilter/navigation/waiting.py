@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 
-from navfilter.navigation.history import Reading
+from navfilter.filter.events import Measurement
 
 __all__ = ["Waiting"]
 
@@ -19,13 +19,13 @@ class Waiting:
 
     Attributes
     ----------
-    readings : list of Reading
+    readings : list of Measurement
     """
 
     def __init__(self) -> None:
-        self.readings: list[Reading] = []
+        self.readings: list[Measurement] = []
 
-    def put(self, reading: Reading) -> None:
+    def put(self, reading: Measurement) -> None:
         """Let a reading wait; its time is the one at which it is to be taken."""
         insort(self.readings, reading, key=lambda one: one.time_s)
 
@@ -34,7 +34,7 @@ class Waiting:
         """When the first is to be taken [s]; infinite where none waits."""
         return self.readings[0].time_s if self.readings else math.inf
 
-    def due(self, time_s: float) -> list[Reading]:
+    def due(self, time_s: float) -> list[Measurement]:
         """Those to be taken by this time, which wait no more."""
         ready = [reading for reading in self.readings if reading.time_s <= time_s]
         del self.readings[: len(ready)]

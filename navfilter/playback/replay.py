@@ -15,12 +15,12 @@ from navfilter.filter.records import Tape
 from navfilter.foundation.arguments import needs
 from navfilter.learning.batch import change, learning_sensors, refitted
 from navfilter.learning.open_loop_series import ChannelSeries
+from navfilter.models.alignment import align
 from navfilter.models.lane_missions import last_unit, of_one_unit
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.alignment import align
 from navfilter.navigation.batch_runner import Passage
 from navfilter.navigation.lanes.tracks import replayed_lanes
 from navfilter.navigation.measurements import Readings

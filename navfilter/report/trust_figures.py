@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.models.mission import Stream
-from navfilter.navigation.track_trust import Spell, spells
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Line, Mark, Panel, Part, Stack, short
 from navfilter.track.track import Track
+from navfilter.track.trust import Spell, spells
 
 __all__ = ["CAPTION", "spell_rows", "trust_figure"]
 

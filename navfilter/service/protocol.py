@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.faults.sensor_monitor import Health
 from navfilter.io.json_lines import LONGEST_LINE
+from navfilter.models.health import Health
 from navfilter.models.state import NavState
 
 __all__ = ["Lines", "event_line", "integrity_fields", "state_fields", "to_line"]

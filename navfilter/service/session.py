@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.faults.sensor_monitor import Health
 from navfilter.filter.imu_intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
+from navfilter.models.alignment import align
+from navfilter.models.health import Health
 from navfilter.models.magnetic import believable
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.alignment import align
 from navfilter.navigation.lanes.navigator import LaneNavigator
 from navfilter.navigation.navigator import Navigator
 from navfilter.service.pairing import Pairing

@@ -13,20 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
+from navfilter.models.truth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS_M, radii
+
 Array = NDArray[np.float64]
 
-SEMI_MAJOR_AXIS_M = 6378137.0
-ECCENTRICITY_SQUARED = 6.69437999014e-3
 EARTH_RATE_RAD_S = 7.292115e-5
 GRAVITY_EQUATOR_M_S2 = 9.7803253359
 GRAVITY_POLE_M_S2 = 9.8321849378
-
-
-def radii(latitude: Array) -> tuple[Array, Array]:
-    """Radii of curvature of the ellipsoid along the meridian and across it, m."""
-    root = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
-    across = SEMI_MAJOR_AXIS_M / np.sqrt(root)
-    return across * (1.0 - ECCENTRICITY_SQUARED) / root, across
 
 
 def gravity(latitude: Array, height: Array) -> Array:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 
-from navfilter.simulation.earth import frame_rates, gravity, integrate_path, radii
+from navfilter.models.truth import Kinematics, wrap
+from navfilter.simulation.earth import frame_rates, gravity, integrate_path
 from navfilter.simulation.manoeuvres import BLEND, Manoeuvre, Piece, descent
 
 Array = NDArray[np.float64]
@@ -62,55 +63,6 @@ class Wander:
                 value[:, axis] += amplitude[axis] * np.sin(phase)
                 rate[:, axis] += amplitude[axis] * omega[k] * (1.0 + 0.07 * axis) * np.cos(phase)
         return value, rate
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Where a vehicle is, how it moves and what it feels at n moments.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Time from the beginning of the motion, s.
-    latitude, longitude, height : ndarray, shape (n,)
-        WGS-84 position of the body's origin, rad, rad, m.
-    velocity_n : ndarray, shape (n, 3)
-        Velocity relative to the Earth, north-east-down, m/s.
-    attitude : ndarray, shape (n, 3)
-        Roll, pitch, yaw, rad; yaw within (-pi, pi].
-    C_nb : ndarray, shape (n, 3, 3)
-        Rotation that takes body vectors to north-east-down.
-    rate_b : ndarray, shape (n, 3)
-        Rate of rotation relative to inertial space in body axes, rad/s: what an ideal gyro reads.
-    rate_eb_b : ndarray, shape (n, 3)
-        Rate of rotation relative to the Earth in body axes, rad/s.
-    force_b : ndarray, shape (n, 3)
-        Specific force in body axes, m/s^2: what an ideal accelerometer reads, (0, 0, -g) at rest and level.
-    """
-
-    time_s: Array
-    latitude: Array
-    longitude: Array
-    height: Array
-    velocity_n: Array
-    attitude: Array
-    C_nb: Array
-    rate_b: Array
-    rate_eb_b: Array
-    force_b: Array
-
-    def displaced(self, by_n: Array) -> tuple[Array, Array, Array]:
-        """Latitude, longitude, height of points some metres north, east and down of the vehicle, each (n,).
-
-        The curvature is taken at the middle of the way: exact to less than a micrometre for a hundred metres.
-        """
-        meridian, _ = radii(self.latitude)
-        half = self.latitude + 0.5 * by_n[:, 0] / (meridian + self.height)
-        meridian, across = radii(half)
-        height = self.height - 0.5 * by_n[:, 2]
-        latitude = self.latitude + by_n[:, 0] / (meridian + height)
-        longitude = self.longitude + by_n[:, 1] / ((across + height) * np.cos(half))
-        return latitude, longitude, self.height - by_n[:, 2]
 
 
 @dataclass(frozen=True)
@@ -349,8 +301,3 @@ def _body_rates(angles: Array, angle_rates: Array) -> Array:
 
 def _to_body(C_nb: Array, vector_n: Array) -> Array:
     return np.einsum("nij,ni->nj", C_nb, vector_n)
-
-
-def wrap(angle: Array) -> Array:
-    """The same angle within (-pi, pi]."""
-    return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)

@@ -17,19 +17,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from navfilter.filter.state_layout import Calibrated, Parameter, with_calibrated
 from navfilter.models.error_models import White
 from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.models.mechanisation.imu import CROSSED
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
+from navfilter.models.parameters import Calibrated, Parameter, with_calibrated
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor
 from navfilter.models.sensors.traits import kinds_below, shown_unit
 from navfilter.models.start import Start
+from navfilter.models.truth import Kinematics, Truth, attitude
 from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Faults, Models, draw_error, draw_errors, generator, outliers, quantise, within
 from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
-from navfilter.simulation.motion import Kinematics, Motion
-from navfilter.simulation.sensors import Truth, attitude
+from navfilter.simulation.motion import Motion
 
 Array = NDArray[np.float64]
 

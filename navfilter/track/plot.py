@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,12 +15,11 @@ from numpy.typing import NDArray
 
 from navfilter.foundation import utc
 
-if TYPE_CHECKING:
-    from navfilter.track.track import Track
-
-__all__ = ["TrackFigure", "plot"]
+__all__ = ["TrackFigure", "track_figure"]
 
 Array = NDArray[np.float64]
+Times = NDArray[Any]  # float64, or datetime64
+COLOUR, END_COLOUR = "#0072b2", "#d55e00"
 
 
 class TrackFigure(Figure):
@@ -31,58 +31,65 @@ class TrackFigure(Figure):
         return buffer.getvalue()
 
 
-def plot(track: Track) -> TrackFigure:
-    """See `Track.plot`."""
-    if not len(track):
-        raise ValueError("this track has no rows: there is nothing to plot.")
+def track_figure(
+    title: str, place: Array, times: Times, curves: Mapping[str, tuple[Array, Array | None]]
+) -> TrackFigure:
+    """A track seen from above, and quantities over its time.
+
+    Parameters
+    ----------
+    title : str
+    place : ndarray, shape (n, 3)
+        North, east, down [m].
+    times : ndarray, shape (n,)
+        Mission time [s], or dates.
+    curves : mapping of str to (ndarray, ndarray or None)
+        By label: values (n,), and their standard deviation. Depth grows downwards; what has no standard deviation is
+        not negative.
+    """
     figure = TrackFigure(figsize=(9.0, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
     left, right = halves
-    _from_above(left.subplots(), track)
-    _over_time(right.subplots(3, 1, sharex=True), track)
-    figure.suptitle(f"{track.mission_name}, {track.label}")
+    _from_above(left.subplots(), place)
+    _over_time(right.subplots(len(curves), 1, sharex=True), times, curves)
+    figure.suptitle(title)
     return figure
 
 
-def _from_above(ax: Axes, track: Track) -> None:
-    north, east, _ = track.local().T
-    ax.plot(east, north, color="#0072b2", linewidth=1.1)
-    ax.plot(east[:1], north[:1], "o", color="#0072b2", label="begin")
-    ax.plot(east[-1:], north[-1:], "s", color="#d55e00", label="end")
+def _from_above(ax: Axes, place: Array) -> None:
+    north, east, _ = place.T
+    ax.plot(east, north, color=COLOUR, linewidth=1.1)
+    ax.plot(east[:1], north[:1], "o", color=COLOUR, label="begin")
+    ax.plot(east[-1:], north[-1:], "s", color=END_COLOUR, label="end")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="east [m]", ylabel="north [m]")
     ax.legend(frameon=False)
     ax.grid(alpha=0.3)
 
 
-def _over_time(axes: NDArray[np.object_], track: Track) -> None:
-    sd = np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2))
-    heading, heading_sd = np.degrees(np.unwrap(track.attitude[:, 2])), np.degrees(track.attitude_sd()[:, 2])
-    time = _axis(axes[-1], track)
-    for ax, value, spread, name in (
-        (axes[0], -track.height, sd[:, 2], "depth [m]"),
-        (axes[1], heading, heading_sd, "heading [deg]"),
-    ):
-        ax.fill_between(time, value - spread, value + spread, color="#0072b2", alpha=0.25, linewidth=0.0)
-        ax.plot(time, value, color="#0072b2", linewidth=1.0)
-        ax.set_ylabel(name)
-    axes[0].invert_yaxis()
-    axes[2].plot(time, np.hypot(sd[:, 0], sd[:, 1]), color="#0072b2", linewidth=1.0)
-    axes[2].set_ylabel("sd of position [m]")
-    axes[2].set_ylim(bottom=0.0)
-    for ax in axes:
+def _over_time(axes: Any, times: Times, curves: Mapping[str, tuple[Array, Array | None]]) -> None:
+    time = _axis(axes[-1], times)
+    for ax, (label, (value, sd)) in zip(axes, curves.items(), strict=True):
+        if sd is not None:
+            ax.fill_between(time, value - sd, value + sd, color=COLOUR, alpha=0.25, linewidth=0.0)
+        ax.plot(time, value, color=COLOUR, linewidth=1.0)
+        ax.set_ylabel(label)
+        if label.startswith("depth"):
+            ax.invert_yaxis()
+        if sd is None:
+            ax.set_ylim(bottom=0.0)
         ax.grid(alpha=0.3)
 
 
-def _axis(ax: Axes, track: Track) -> Array | NDArray[np.datetime64]:
+def _axis(ax: Axes, times: Times) -> Times:
     """The times as they are drawn: dates where they are known, else seconds."""
-    if track.time_utc is None:
-        zero, since = utc.axis_from(float(track.time_s[0]))
-        ax.set_xlabel(f"mission time{since} [s]")
-        return track.time_s - zero
-    locator = AutoDateLocator()
-    ax.xaxis.set_major_locator(locator)
-    ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    ax.set_xlabel("UTC")
-    return track.time_utc
+    if times.dtype.kind == "M":
+        locator = AutoDateLocator()
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        ax.set_xlabel("UTC")
+        return times
+    zero, since = utc.axis_from(float(times[0]))
+    ax.set_xlabel(f"mission time{since} [s]")
+    return np.asarray(times - zero)

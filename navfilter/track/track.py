@@ -12,19 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.filter.records import Residuals
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import intervals, needs, rows_of
-from navfilter.foundation.display import Value
+from navfilter.foundation.display import Value, often, span
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import block_level
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.models.mission import Stream
 from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
-from navfilter.track import table as views
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from navfilter.faults.lane_selection import LaneHistory
+    from navfilter.models.health import LaneHistory
     from navfilter.models.vehicle import Vehicle
     from navfilter.timeseries.model import ArmaModel
 
@@ -73,7 +72,12 @@ class TrackErrors(Value):
         return np.hypot(self.position_n[:, 0], self.position_n[:, 1])
 
     def _shown(self) -> tuple[str, dict[str, object]]:
-        return views.errors_shown(self)
+        known = int(np.count_nonzero(np.isfinite(self.horizontal)))
+        rows: dict[str, object] = {"truth": f"at {known} of {len(self.time_s)} rows"}
+        rows["position"] = _in_words(self.horizontal, "m, horizontal")
+        rows["velocity"] = _in_words(np.linalg.norm(self.velocity_n, axis=1), "m/s")
+        rows["heading"] = _in_words(np.degrees(self.heading), "deg")
+        return f"TrackErrors{span(self.time_s)}, {often(self.time_s, 'rows')}", rows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,7 +126,7 @@ class Track(Value):
         Of a vehicle with lanes: from when [s] which was in force.
     lane_history : LaneHistory or None
         How well each lane foretold the readings, and why one was left for another, see
-        `navfilter.faults.lane_selection.LaneHistory`.
+        `navfilter.models.health.LaneHistory`.
     """
 
     label: str
@@ -259,7 +263,35 @@ class Track(Value):
         """Table with one row per time, in degrees and metres; every column names its unit. ``time_utc`` is there where
         the mission knows UTC.
         """
-        return views.frame(self)
+        import pandas as pd
+
+        sd = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        rpy, rpy_sd = np.degrees(self.attitude), np.degrees(self.attitude_sd())
+        columns: dict[str, Array | pd.DatetimeIndex] = {"time_s": self.time_s}
+        if self.time_utc is not None:
+            columns["time_utc"] = pd.DatetimeIndex(self.time_utc, tz="UTC")
+        columns |= {
+            "latitude_deg": np.degrees(self.latitude),
+            "longitude_deg": np.degrees(self.longitude),
+            "height_m": self.height,
+            "depth_m": -self.height,
+        }
+        axes = ("north", "east", "down")
+        columns |= {f"velocity_{a}_m_s": self.velocity_n[:, i] for i, a in enumerate(axes)}
+        columns |= {"roll_deg": rpy[:, 0], "pitch_deg": rpy[:, 1], "heading_deg": rpy[:, 2] % 360.0}
+        columns |= {f"position_{a}_sd_m": sd[:, i] for i, a in enumerate(axes)}
+        columns["position_north_east_cov_m2"] = self.covariance[:, 0, 1]
+        columns |= {f"velocity_{a}_sd_m_s": sd[:, 3 + i] for i, a in enumerate(axes)}
+        columns |= {f"{a}_sd_deg": rpy_sd[:, i] for i, a in enumerate(("roll", "pitch", "heading"))}
+        if self.bounds is not None:
+            columns |= {"protection_radius_m": self.bounds[:, 0], "heading_bound_deg": np.degrees(self.bounds[:, 1])}
+        for i, name in enumerate(self.state_names):
+            unit = self.state_units[i] if self.state_units else "1"
+            factor = 180.0 / math.pi if unit.startswith("rad") else 1.0
+            unit = unit.replace("rad", "deg")
+            columns[f"{name}_{unit}"] = factor * self.states[:, i]
+            columns[f"{name}_sd_{unit}"] = factor * self.states_sd[:, i]
+        return pd.DataFrame(columns)
 
     def plot(self) -> Figure:
         """A figure of the track: seen from above, its depth and heading, and how well the position is known.
@@ -274,12 +306,36 @@ class Track(Value):
         ValueError
             For a track without rows.
         """
-        from navfilter.track.plot import plot
+        from navfilter.track.plot import track_figure
 
-        return plot(self)
+        if not len(self):
+            raise ValueError("this track has no rows: there is nothing to plot.")
+        sd = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        heading, heading_sd = np.degrees(np.unwrap(self.attitude[:, 2])), np.degrees(self.attitude_sd()[:, 2])
+        curves = {
+            "depth [m]": (-self.height, sd[:, 2]),
+            "heading [deg]": (heading, heading_sd),
+            "sd of position [m]": (np.hypot(sd[:, 0], sd[:, 1]), None),
+        }
+        title = f"{self.mission_name}, {self.label}"
+        return track_figure(title, self.local(), self.time_s if self.time_utc is None else self.time_utc, curves)
 
     def _shown(self) -> tuple[str, dict[str, object]]:
-        return views.shown(self)
+        rows: dict[str, object] = {"mission": self.mission_name, "vehicle": self.vehicle.name, "rows": len(self)}
+        if len(self):
+            sd = np.sqrt(np.trace(self.covariance[-1, :2, :2]))
+            rows |= {
+                "begins": utc.date_text(self.time_s[0], self.epoch_utc_s),
+                "mission time": f"{self.time_s[0]:.1f} to {self.time_s[-1]:.1f} s",
+                "travelled": f"{self.distance_m:.0f} m",
+                "ends at": f"{math.degrees(self.latitude[-1]):.6f}, {math.degrees(self.longitude[-1]):.6f} deg",
+                "sd of position at the end": f"{sd:.2f} m",
+            }
+        for name, residuals in self.residuals.items():
+            rows[name] = residuals.in_words
+        rows["irregular"] = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count) or None
+        rows["learnt"] = ", ".join(self.adopted()) or None
+        return f"Track, {self.label}", rows
 
     def attitude_sd(self) -> Array:
         """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation
@@ -449,3 +505,11 @@ def _interpolate(truth: Stream, time_s: Array, longest_gap_s: float = 5.0) -> Ar
         )
         result[:, c] = np.where(inside & near, np.interp(time_s, t, v), np.nan)
     return result
+
+
+def _in_words(errors: Array, unit: str) -> str | None:
+    """Root mean square and largest of those that are known."""
+    known = np.abs(errors[np.isfinite(errors)])
+    if not len(known):
+        return None
+    return f"{math.sqrt(float(np.mean(known**2))):.3g} rms, {known.max():.3g} at most [{unit}]"

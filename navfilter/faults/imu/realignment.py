@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 SURE_SD = 0.05
 #: The level contradicts the state beyond this NIS, of two components: 3e-7 of the good ones do.
 LIMIT = 30.0
-#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.navigation.alignment` refuses it, too.
+#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.models.alignment` refuses it, too.
 EXCESS = 1.5
 #: A velocity that has been refused for so long contradicts the state [s].
 REFUSED_S = 1.0

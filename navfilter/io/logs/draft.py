@@ -18,11 +18,11 @@ from navfilter.io.logs.known_topics import READINGS, Use
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.mission_toml import read_mission_toml
 from navfilter.io.vehicle_toml import read_vehicle
+from navfilter.models.alignment import align
 from navfilter.models.mission import Mission, MissionError, Stream
 from navfilter.models.sensors import Heading, Position
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.alignment import align
 
 __all__ = ["Draft", "draft", "read_inertial"]
 

@@ -1,4 +1,5 @@
-"""What the topics of known kinds give: which readings, in which fields, units and axes (the rows of known_topics.toml)."""
+"""What the topics of known kinds give: which readings, in which fields, units and axes (the rows of known_topics.toml).
+"""
 
 from __future__ import annotations
 

@@ -29,12 +29,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from navfilter.faults.sensor_monitor import SensorHealth, Watch
+from navfilter.faults.sensor_monitor import Watch
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation import utc
 from navfilter.io.tracks.atomic_files import pieces, replacing_tree
 from navfilter.io.tracks.formats import is_nowhere
 from navfilter.io.tracks.local import ENU, local_enu, origin_of, plane_from_n
+from navfilter.models.health import SensorHealth
 from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler
 from navfilter.track.track import Track

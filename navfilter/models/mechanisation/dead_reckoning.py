@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.foundation.frozen import Typed
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, RandomWalk, White, per_axis
@@ -18,6 +17,7 @@ from navfilter.models.learned_arma import learning_part
 from navfilter.models.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
+from navfilter.models.parameters import Parameter
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor, WaterVelocity
 from navfilter.models.sensors.attitude import ATTITUDE
 from navfilter.models.sensors.heading import USUAL as HEADING_USUAL

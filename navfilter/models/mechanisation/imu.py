@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White, per_axis
@@ -18,6 +17,7 @@ from navfilter.models.learned_arma import learned_part
 from navfilter.models.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import FOUND_S, Drift
+from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.heading import TEMPERATURE
 from navfilter.models.sensors.sensor import Vector, checked_sds
 from navfilter.models.sensors.traits import Columns, Doubt, Plausible, angle_doubt

@@ -11,12 +11,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.foundation.frozen import Typed
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
+from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.models.sensors import BodyVelocity, Heading
 from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Plausible

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
-from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Altitude"]
 
@@ -108,7 +107,7 @@ class Altitude(Sensor):
             text = f"the bottom is described {self.bottom_height_m:.4g} m above the mission's zero height."
             yield Doubt("bottom_height_m", text, "Heights are positive up: 100 m of water is -100.")
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Of the instrument, above a bottom that rises and falls as described."""
         lever_down = here.C_nb[:, 2, :] @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
         bottom = self.bottom_height_m + truth.wandering.get("bottom", np.zeros(len(here.time_s)))

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.heading import USUAL, Heading, checked_north, with_declination_sd
-from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
 
 if TYPE_CHECKING:
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["ATTITUDE", "Attitude"]
 
@@ -137,7 +136,7 @@ class Attitude(Sensor):
         """The rotation vector of the misalignment."""
         return {"misalignment": self._misalignment()}
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Angles of the instrument's axes, which are turned against what is believed."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 

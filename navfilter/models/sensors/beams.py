@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White, per_axis
 from navfilter.models.learned_arma import learning_part, resolve_prior
-from navfilter.models.navigation_drift import Drift
-from navfilter.models.sensors.sensor import Errors, Reading
+from navfilter.models.navigation_drift import Drift, DriftSource
+from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import DVL_ERROR, BodyVelocity
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.models.mechanisation import Mechanisation
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["DvlBeams"]
 
@@ -174,7 +172,7 @@ class DvlBeams(BodyVelocity):
         """Directions of the eight beams in the body, shape (8, 3)."""
         return np.vstack([self.beams(), self.beams()]) @ super().instrument_axes()
 
-    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+    def drift(self, drive: DriftSource, axis: int, walk: float) -> Drift:
         """The part of a horizontal and of a vertical velocity that lies along a beam."""
         period_s, sine, cosine = 1.0 / self.rate_hz, math.sin(self.beam_tilt_rad), math.cos(self.beam_tilt_rad)
         level = drive.velocity_drift(walk, period_s).density
@@ -212,7 +210,7 @@ class DvlBeams(BodyVelocity):
             text = f"a current of {self.current_sd_m_s:.4g} m/s is faster than all but the strongest tidal streams."
             yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """The part of the instrument's velocity along each beam, over ground and through water that moves."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
-from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import USUAL
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Course"]
 
@@ -117,7 +116,7 @@ class Course(Sensor):
             text = f"white noise of {100.0 * math.sqrt(block.r):.2g} cm/s: few receivers measure velocity so well."
             yield Doubt("error", text, "Many smooth it over seconds: a gauss-markov part, or a larger sd.")
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Of the antenna; course from 0 to 360 degrees."""
         swing = np.cross(here.rate_eb_b, np.asarray(self.lever_arm_b_m, dtype=np.float64))
         v = here.velocity_n + np.einsum("nij,nj->ni", here.C_nb, swing) + truth.error

@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
-from navfilter.models.navigation_drift import Drift
-from navfilter.models.sensors.sensor import LARGEST, Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.navigation_drift import Drift, DriftSource
+from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.models.mechanisation import Mechanisation
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Heading"]
 
@@ -255,7 +253,7 @@ class Heading(Sensor):
             angles = readings[:, 0]
         return angles + self.declination(start), variance + self.mean_variance(0, len(readings)), dip
 
-    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+    def drift(self, drive: DriftSource, axis: int, walk: float) -> Drift:
         """As a heading."""
         return drive.heading_drift(walk, 1.0 / self.rate_hz)
 
@@ -291,7 +289,7 @@ class Heading(Sensor):
         hard, soft = self._iron()
         return {"deviation": tuple(deviation), "temperature": (temperature,), "hard_iron": hard, "soft_iron": soft}
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""
         declination = 0.0
         if self.magnetic or self.magnetometer:

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.models.error_models import White
-from navfilter.models.sensors.sensor import Errors, Reading
+from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import BodyVelocity
 
 if TYPE_CHECKING:
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Odometer"]
 
@@ -93,7 +92,7 @@ class Odometer(BodyVelocity):
                 text = "less than 5 mm/s: every vehicle slips and sways more than that."
                 yield Doubt(f"error.{axis}", text, "Usual: 0.05 to 0.2 m/s.")
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """The forward component; slip sideways there is none but what the motion has."""
         value, _ = super().simulated(here, truth)
         return value[:, :1], SPEED.names

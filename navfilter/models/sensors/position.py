@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
-from navfilter.models.navigation_drift import Drift
-from navfilter.models.sensors.sensor import LARGEST, Errors, Reading, Sensor, Vector
+from navfilter.models.navigation_drift import Drift, DriftSource
+from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Example, Plausible
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.models.mechanisation import Mechanisation
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Depth", "Position"]
 
@@ -109,7 +107,7 @@ class Depth(Sensor):
             return super().read_all(values)
         return np.ascontiguousarray(values[:, :1]), np.abs(values[:, 0]) <= LARGEST
 
-    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+    def drift(self, drive: DriftSource, axis: int, walk: float) -> Drift:
         """As a vertical position."""
         return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=True)
 
@@ -126,7 +124,7 @@ class Depth(Sensor):
         """The offset."""
         return {"offset": (Parameter("offset", self.offset_sd_m, "m"),)}
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Depth of the instrument below the surface, or the absolute pressure there."""
         lever_down = here.C_nb[:, 2, :] @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
         below = truth.surface_height_m - here.height + lever_down + truth.drawn["offset"][0] + truth.error[:, 0]
@@ -227,11 +225,11 @@ class Position(Sensor):
         z[~good] = math.nan
         return z, good
 
-    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+    def drift(self, drive: DriftSource, axis: int, walk: float) -> Drift:
         """As a position, down being the third axis."""
         return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Latitude, longitude, height of the antenna, and the HDOP if there is one."""
         lever_n = here.C_nb @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
         value = np.stack(here.displaced(lever_n + truth.error), axis=-1)

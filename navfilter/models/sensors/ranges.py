@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement, strapdown
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
-from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Range", "earth_fixed"]
 
@@ -194,7 +193,7 @@ class Range(Sensor):
             cure = "Find them first (navfilter.locate_beacons); it says how well they are known then."
             yield Doubt("beacon_sd_m", text, cure)
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """The chord from the transducer to the beacons, one after the other."""
         lever_n = here.C_nb @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
         transducer = earth_fixed(*here.displaced(lever_n))

@@ -11,26 +11,23 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter.state_layout import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.foundation.frozen import Typed
 from navfilter.kernels import open_loop_residual
 from navfilter.models.error_models import ErrorModel, White, per_axis
 from navfilter.models.learned_arma import resolve_prior
-from navfilter.models.navigation_drift import Drift
+from navfilter.models.navigation_drift import Drift, DriftSource
+from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
-    from navfilter.models.mechanisation import Mechanisation
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["LARGEST", "Errors", "Reading", "Sensor", "Vector", "checked_sds", "checked_vector"]
+__all__ = ["LARGEST", "Errors", "Sensor", "Vector", "checked_sds", "checked_vector"]
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]
-Reading = tuple[Array, tuple[str, ...]]
 #: A stamp that is early by more standard deviations of the time offset is not waited for.
 EARLY_SDS = 2.5
 #: What is seen of the motion after a reading, at least [s].
@@ -340,12 +337,12 @@ class Sensor(Typed):
         """
         return np.eye(3)
 
-    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+    def drift(self, drive: DriftSource, axis: int, walk: float) -> Drift:
         """How the slow navigation error looks in the open-loop residual of one axis; default: as a horizontal position.
 
         Parameters
         ----------
-        drive : Mechanisation
+        drive : DriftSource
             Whose errors make it.
         axis : int
         walk : float
@@ -377,7 +374,7 @@ class Sensor(Typed):
         """
         return {p.name: (p,) for p in constant_parameters(self.parameters(), self.wandering())}
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """What it reads along a motion: the truth side of the measurement equation, written from the definition, not
         from the kernel.
 

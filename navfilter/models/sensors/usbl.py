@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.ranges import EARTH, SIGHT_S_PER_M, earth_fixed
-from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
 
 if TYPE_CHECKING:
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["Usbl"]
 
@@ -228,7 +227,7 @@ class Usbl(Sensor):
         """Roll, pitch and heading of a simulated ship [rad], at times from the first on [s], shape (n, 3)."""
         return np.column_stack([0.05 * np.sin(0.6 * t), 0.03 * np.sin(0.5 * t), 0.5 + 0.3 * np.sin(0.02 * t)])
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """From a ship that follows at a knot and yaws, 50 m off the vehicle's first place."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 

@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.state_layout import Parameter, hidden_states
 from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.learned_arma import learning_part
-from navfilter.models.navigation_drift import Drift
-from navfilter.models.sensors.sensor import Errors, Reading, Sensor, Vector, checked_sds, checked_vector
+from navfilter.models.navigation_drift import Drift, DriftSource
+from navfilter.models.parameters import Parameter, hidden_states
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_sds, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
 
 if TYPE_CHECKING:
-    from navfilter.models.mechanisation import Mechanisation
-    from navfilter.simulation.motion import Kinematics
-    from navfilter.simulation.sensors import Truth
+    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 __all__ = ["BodyVelocity", "WaterVelocity", "ZeroVelocity"]
 
@@ -189,7 +187,7 @@ class BodyVelocity(Sensor):
         """Those of the mounting."""
         return matrix_from_euler(*self.mounting_rad).T
 
-    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+    def drift(self, drive: DriftSource, axis: int, walk: float) -> Drift:
         """As a velocity: the third axis is taken as the vertical one."""
         return drive.velocity_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
 
@@ -213,7 +211,7 @@ class BodyVelocity(Sensor):
         scales, angles = self._scales_and_angles()
         return {"scale": scales, "misalignment": angles}
 
-    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Velocity of the instrument in its own axes, over ground or through water that moves."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 

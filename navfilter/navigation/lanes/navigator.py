@@ -18,19 +18,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
 from navfilter.faults.lane_selection import Choice, ChoiceMemory
-from navfilter.faults.protection_level import Trust
-from navfilter.faults.sensor_monitor import Health, LaneHealth
-from navfilter.filter.events import Outcome
+from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import samples_of
 from navfilter.foundation.arguments import needs
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.models.health import Health, LaneHealth, Trust
 from navfilter.models.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
 from navfilter.models.start import Start
 from navfilter.models.state import NavState, Pose
 from navfilter.models.vehicle import DEAD_RECKONING, LEVEL, Vehicle
 from navfilter.navigation import snapshot as snapshots
-from navfilter.navigation.history import History, Reading
+from navfilter.navigation.history import History
 from navfilter.navigation.lanes.state_transfer import Transplant, transplant
 from navfilter.navigation.memory import MEMORY, LaneMemory, LanesMemory
 from navfilter.navigation.navigator import Navigator
@@ -195,7 +194,7 @@ class LaneNavigator(Running):
         name, stamp_s, z, sd = arrived
         taken_s = stamp_s + self.offset_s - self.vehicle.sensors[name].time_offset_s
         # the stamp goes along: every lane has a clock of its own
-        reading = Reading(name, taken_s, z, (stamp_s, sd), False)
+        reading = Measurement(name, taken_s, z, (stamp_s, sd), False)
         if self.history is None:
             return self._read(reading)
         channels = self.believed.filter.channels
@@ -218,7 +217,7 @@ class LaneNavigator(Running):
             run.finish()
 
     # ---------------------------------------------------------------- in order
-    def feed(self, item: Array | Reading) -> Outcome | None:
+    def feed(self, item: Array | Measurement) -> Outcome | None:
         """Give samples or a reading, in order, to the lanes; users call `step` and `correct`."""
         if not isinstance(item, np.ndarray):
             return self._read(item)
@@ -274,7 +273,7 @@ class LaneNavigator(Running):
                 run.correct(LEVEL, here_s, UPRIGHT)
                 self._levels += 1
 
-    def _read(self, reading: Reading) -> Outcome:
+    def _read(self, reading: Measurement) -> Outcome:
         stamp_s, sd = reading.sd
         offset_s = self.offset_s
         if self._come_to(reading.time_s):

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.imu.monitor import USED
-from navfilter.faults.lane_selection import HISTORY, Choice, LaneHistory
+from navfilter.faults.lane_selection import HISTORY, Choice
 from navfilter.filter.records import Tape
+from navfilter.models.health import LaneHistory
 from navfilter.models.lane_clock import edge_after
 from navfilter.models.lane_missions import lane_mission
 from navfilter.models.mission import Mission

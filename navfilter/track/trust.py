@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.protection_level import LOST_HEADING, LOST_VELOCITY, MARGIN
-from navfilter.faults.sensor_monitor import Watch
 from navfilter.filter.records import OUTCOMES
 from navfilter.kernels.batch import NIS_MEMORY, NIS_MOST
 from navfilter.models.fault_bias import has_offset
+from navfilter.models.health import LOST_HEADING, LOST_VELOCITY, MARGIN, NOISY, silent_after_s
 
 if TYPE_CHECKING:
     from navfilter.models.mission import Stream
@@ -36,7 +35,7 @@ class Spell:
     ----------
     begin_s, end_s : float
     level : str
-        "degraded" or "lost", as `navfilter.faults.protection_level.Trust` has them.
+        "degraded" or "lost", as `navfilter.models.health.Trust` has them.
     reason : str
     """
 
@@ -156,7 +155,7 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
         last = np.searchsorted(times, now, side="right") - 1
         return np.where(last >= 0, now - times[last], np.inf) if times.size else np.full(len(now), np.inf)
 
-    waiting, silent = now < first, age(heard) > Watch.silent_after_s(sensor)
+    waiting, silent = now < first, age(heard) > silent_after_s(sensor.gate_timeout_s, sensor.rate_hz)
     old = age(r.used) > sensor.gate_timeout_s
     yield "silent", silent & ~waiting
     left = ~silent & ~waiting
@@ -177,4 +176,4 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
             so_far += (value - so_far) / NIS_MEMORY
             mean[k] = so_far
         last = np.searchsorted(r.time_s[judged], now, side="right") - 1
-        yield "noisy", left & ~jumped & (last >= 0) & (mean[last] > Watch.NOISY)
+        yield "noisy", left & ~jumped & (last >= 0) & (mean[last] > NOISY)

@@ -1,0 +1,98 @@
+"""What the parts of a navigator see of it: the runner, and the early re-run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.faults.clocks.imu_clock import DriveClock
+from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.events import Event, Measurement, Outcome
+from navfilter.filter.filter import Filter
+from navfilter.learning.schedule import LearningSchedule
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.history import History
+from navfilter.navigation.waiting import Waiting
+
+__all__ = ["Run"]
+
+Array = NDArray[np.float64]
+
+
+class Run(Protocol):
+    """A run over a vehicle's inputs: a `Navigator`.
+
+    Attributes
+    ----------
+    filter : Filter
+    learning : LearningSchedule
+    history : History or None
+        None: nothing may come late.
+    clock : DriveClock
+    watches : dict of str to Watch
+    waiting : Waiting
+    beginning
+        What runs the first minutes again (`navfilter.navigation.early_rerun`).
+    prompts
+        By sensor, what takes its ordinary readings live.
+    changes : int
+        Counts all that changes otherwise than by ordinary inputs.
+    """
+
+    vehicle: Vehicle
+    start: Start
+    filter: Filter
+    learning: LearningSchedule
+    history: History | None
+    clock: DriveClock
+    watches: dict[str, Watch]
+    waiting: Waiting
+    beginning: Any
+    changes: int
+
+    @property
+    def prompts(self) -> Mapping[str, Any]:
+        """By sensor."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+        ...
+
+    @property
+    def offset_s(self) -> float:
+        """By how much stamps are moved since the clock was set [s]."""
+        ...
+
+    def step_samples(self, samples: Array) -> None:
+        """Take samples of the drive: rows of time and six values."""
+        ...
+
+    def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
+        """Take a measurement that has arrived."""
+        ...
+
+    def take(self, reading: Measurement) -> Outcome:
+        """Take a measurement now."""
+        ...
+
+    def given(self, item: Array | Measurement) -> None:
+        """Take an input as another run has."""
+        ...
+
+    def feed(self, item: Array | Measurement) -> Outcome | None:
+        """Give samples or a measurement, in order, to filter and learning."""
+        ...
+
+    def finish(self) -> None:
+        """Take the measurements that still wait: no more samples come."""
+        ...
+
+    def told(self, event: Event, value: Array | None = None) -> None:
+        """Show the monitor and learning what the filter does."""
+        ...
