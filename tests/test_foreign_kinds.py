@@ -23,6 +23,7 @@ from navfilter.models.learned_arma import learned_part
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors import Sensor
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.traits import Columns, Example, Plausible
 from navfilter.playback.replay import drive_samples
 from navfilter.report.report import render_report
@@ -63,7 +64,7 @@ class BeaconRange(Sensor):
     kernel: ClassVar = staticmethod(beacon_range)
     axis_names: ClassVar = ("range",)
     open_loop: ClassVar = open_loop_residual.POSITION
-    corrects: ClassVar = "position"
+    observes: ClassVar = Observable.RANGE
     contents: ClassVar = ((Columns("beacon_range", ("range_m",), ("length",)),),)
     plausible: ClassVar = Plausible(1e-3, 100.0, "cm", most_rate_hz=20.0)
 

@@ -168,7 +168,7 @@ def test_jacobians_of_every_kind_equal_finite_differences(kind, clock):
         z[:3] = state.C_nb.T @ turn @ state.C_nb @ z[:3]
     near, _ = look(state, par)
     for j in range(9 + par.size):
-        if sensor.sees_velocity and j > 8 and sensor.all_parameters()[j - 9].name.startswith("scale"):
+        if sensor.observes.in_body_axes and j > 8 and sensor.all_parameters()[j - 9].name.startswith("scale"):
             continue  # what it makes of the arm's turn is left out: see test_measurement
         step, ends = STEPS[j] if j < 9 else 1e-3, []
         for sign in (1.0, -1.0):

@@ -232,7 +232,11 @@ def _doubtful(sensor: Sensor, keys: Mapping[str, Any]) -> Iterator[tuple[str, An
     """Those of the keys that the sensor has and that stand at zero."""
     for key, value in keys.items():
         place = key in ("time_offset_sd_s", "lever_arm_sd_m")
-        if not hasattr(sensor, key) or np.any(getattr(sensor, key)) or (place and sensor.corrects not in _MOVING):
+        if (
+            not hasattr(sensor, key)
+            or np.any(getattr(sensor, key))
+            or (place and sensor.observes.corrects not in _MOVING)
+        ):
             continue
         if key == "lever_arm_sd_m" and not sensor.has_lever_arm:
             continue

@@ -78,7 +78,7 @@ def again(vehicle: Vehicle, start: Start, track: Track) -> tuple[Vehicle, Start]
     moved = []
     for one in constants_of(vehicle):
         sensor = vehicle.sensors.get(one.part[-1]) if one.part[0] == "sensors" else None
-        if one.part == ("drive", "attitude") or (sensor is not None and sensor.corrects == "heading"):
+        if one.part == ("drive", "attitude") or (sensor is not None and sensor.observes.corrects == "heading"):
             value = float(track.state(one.name)[0][-1])
             # a clock goes into its key, and its state begins at zero
             moved.append(one._replace(value=value + (one.value if one.folded else 0.0)))

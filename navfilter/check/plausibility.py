@@ -134,7 +134,7 @@ def _surface_findings(vehicle: Vehicle) -> Iterator[Finding]:
 
 
 def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
-    corrected = {sensor.corrects for sensor in vehicle.sensors.values()}
+    corrected = {sensor.observes.corrects for sensor in vehicle.sensors.values()}
     size = Layout.of(vehicle).size
     if size > _MANY_STATES:
         cure = "The cost grows with the square of the states: lower orders, or one model for all axes."

@@ -175,7 +175,7 @@ def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
         motion = _moved(run, mission, r.time_s[known] - sensor.time_offset_s)
         before = _moved(run, mission, r.time_s[known] - sensor.time_offset_s, -AFTER_S)
         follows = _followed(sensor, r.sd[known])
-        if sensor.sees_velocity and sensor.axes == 3:
+        if sensor.observes.in_body_axes and sensor.axes == 3:
             whitened = whitened @ sensor.instrument_axes()
         for pair in _pairs(name, run.vehicle, motion, before, name in deviates):
             value = np.concatenate([whitened[:, column] for column in pair.columns])
@@ -323,7 +323,7 @@ def _pairs(name: str, vehicle: Any, motion: _Motion, before: _Motion, deviates: 
             rest = cause, key, LEAST_BY_HEADING, (motion.turn_rate,) if late else ()
             for wave in (s, c, 2.0 * s * c, c**2 - s**2):
                 yield _Pair("", (0,), "heading", (wave,), *rest)
-    elif sensor.sees_velocity and sensor.axes == 3:
+    elif sensor.observes.in_body_axes and sensor.axes == 3:
         if late:
             yield _Pair("forward", (0,), "acceleration", (motion.acceleration,), "its clock is off", clock, halves=True)
         if fixed:
@@ -331,7 +331,7 @@ def _pairs(name: str, vehicle: Any, motion: _Motion, before: _Motion, deviates: 
                 yield _Pair(axis, (column,), "turn rate", (motion.turn_rate,), "its lever arm is off", arm)
     elif sensor.gives == "position" and fixed and late:
         cause, key = "its lever arm or its clock is off", f"{arm}, or time_offset_sd_s = 0.3"
-        velocity = [other for other, kind in vehicle.sensors.items() if kind.sees_velocity]
+        velocity = [other for other, kind in vehicle.sensors.items() if kind.observes.in_body_axes]
         if velocity or not vehicle.drive.inertial:
             cause = "its lever arm or its clock is off, or that of the velocity"
             key += f"; or the same to {f'[sensors.{velocity[0]}]' if velocity else '[drive.velocity]'}"

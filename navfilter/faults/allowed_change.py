@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.kernels import open_loop_residual
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -37,9 +37,9 @@ def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
 
 def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
     """Variance by which dead reckoning may err in a time, in the units of a sensor; `kernels.scatter` has it, too."""
-    if sensor.north is not None:
+    if sensor.observes.north is not None:
         return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
-    if sensor.open_loop == open_loop_residual.VELOCITY:
+    if sensor.observes is Observable.VELOCITY_BODY:
         tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
         return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + _walked(dt, drive_output, period_s)
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)

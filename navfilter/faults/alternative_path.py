@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity
-from navfilter.kernels import open_loop_residual
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -85,7 +85,7 @@ def out_of_reach(filter: Filter, channel: Channel, time_s: float) -> bool:
     time_s : float
         Of the reading [s].
     """
-    fixes = channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == ground_velocity.AXES
+    fixes = channel.sensor.observes is Observable.FIX
     if not fixes or channel.memory.used_s == -math.inf:
         return False
     north, east = filter.start.way_to(*filter.memory.nav[:2].tolist())
@@ -118,7 +118,7 @@ def believable(residual: Array, speed: Array | float, stated: float | None) -> N
 def since_fix(filter: Filter, channel: Channel) -> RefusedWay:
     """That of a velocity, now: nothing, once a fix has been used since."""
     way = channel.memory.way
-    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.corrects == "position")
+    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
     return RefusedWay() if way is None or max(fixes, default=-math.inf) > way.time_s else way
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.protection_level import IN_PLANE
-from navfilter.kernels import open_loop_residual
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.faults.refusals import Refusals
@@ -59,7 +59,7 @@ def believed(sensor: Sensor, group: Group) -> Array:
     where the error model sets no limit, shape (axes,).
     """
     e, none = group.errors, np.full(sensor.axes, np.inf)
-    if sensor.corrects != "position" or sensor.open_loop != open_loop_residual.POSITION or not e:
+    if sensor.observes is not Observable.FIX or not e:
         return none
     Phi, P0 = group.Phi[:e, :e], group.P0[:e, :e]
     if not np.allclose(Phi @ P0 @ Phi.T + group.Q[:e, :e], P0, rtol=1e-6, atol=1e-12):
@@ -118,7 +118,7 @@ def reckoned_since(channel: Channel, refused: Refusals, speed: float) -> float:
         Of the vehicle [m/s].
     """
     off, seconds = math.hypot(*np.nan_to_num(refused.offset)[:2]), refused.began_s - channel.memory.used_s
-    fixes = channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3
+    fixes = channel.sensor.observes is Observable.FIX
     return off / seconds if fixes and off <= _may_err(speed, seconds) < math.inf else 0.0
 
 

@@ -163,7 +163,7 @@ def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
         return None if has_offset(models) else Change("velocity", with_offsets(models, size), offsets=True)
     now_s = filter.memory.time_s
     for channel in filter.channels.values():
-        used = now_s - channel.memory.used_s < RECENT_S and channel.sensor.corrects == "velocity"
+        used = now_s - channel.memory.used_s < RECENT_S and channel.sensor.observes.corrects == "velocity"
         if used and channel.sensor.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
     return None

@@ -22,8 +22,8 @@ from navfilter.faults.allowed_change import are_carried
 from navfilter.faults.protection_level import CONFIRMED_S
 from navfilter.faults.sensor_bias import SPAN_S, offset_places
 from navfilter.filter.model_change import Change
-from navfilter.kernels import open_loop_residual
 from navfilter.models.fault_bias import offset_states, with_offsets
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -53,7 +53,7 @@ def _others(filter: Filter, gauge: Channel, time_s: float) -> list[Channel]:
         other
         for other in filter.channels.values()
         if other is not gauge
-        and other.sensor.open_loop == open_loop_residual.POSITION
+        and other.sensor.observes in (Observable.FIX, Observable.HEIGHT)
         and np.isfinite(other.note[2 + other.axes])
         and time_s - other.memory.used_s < SPAN_S
     ]
@@ -84,7 +84,7 @@ def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
     time_s : float
         Of the reading [s].
     """
-    if channel.sensor.open_loop != open_loop_residual.POSITION or channel.axes != 1:
+    if channel.sensor.observes is not Observable.HEIGHT:
         return False
     if not filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2:
         return False

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from navfilter.filter.model_change import Change
 from navfilter.filter.python_update import update
-from navfilter.kernels import kalman, measurement, open_loop_residual
+from navfilter.kernels import kalman, measurement
 from navfilter.models.fault_bias import offset_states, with_offsets
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import rotation_matrix
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     """
     channels = filter.channels.values()
     recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
-    compasses = [c for c in recent if c.sensor.corrects == "heading"]
+    compasses = [c for c in recent if c.sensor.observes.corrects == "heading"]
     moving = any(_reckons(c) for c in recent)
     if course.count < 3 or not moving or len(compasses) > 1:
         return None
@@ -143,7 +144,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
         turn = seen_turned(course, fixes, max(0.0, going - heading), rather_drawn, heading=heading)
         return turn and Change(fixes.name, fixes.sensor.models, afresh=True, turn=turn)
     compass = compasses[0]
-    if compass.sensor.north is None:
+    if compass.sensor.observes.north is None:
         return None
     told = math.radians(filter.start.heading_sd_deg)
     believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
@@ -152,7 +153,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
         return None
     models = compass.sensor.models
     if not compass.offset:
-        models = with_offsets(models, abs(turn[0]), only=compass.sensor.north, deviates=True)
+        models = with_offsets(models, abs(turn[0]), only=compass.sensor.observes.north, deviates=True)
     return Change(compass.name, models, offsets=True, turn=turn)
 
 
@@ -219,7 +220,7 @@ def of_one_way(course: Course, fixes: Channel, believed: Callable[[float, float]
 def _reckons(channel: Channel) -> bool:
     """Whether a sensor tells the way made, if the heading is known."""
     sensor = channel.sensor
-    return sensor.corrects == "velocity" and (sensor.ground > 0 or sensor.open_loop == open_loop_residual.VELOCITY)
+    return sensor.observes.corrects == "velocity" and (sensor.ground > 0 or sensor.observes is Observable.VELOCITY_BODY)
 
 
 def direction(filter: Filter) -> float:
@@ -269,7 +270,7 @@ def _confirmed(filter: Filter, compass: Channel) -> bool:
     for fixes in filter.channels.values():
         kept = fixes.memory
         calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
-        if fixes.sensor.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
+        if fixes.sensor.observes.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
             sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
             if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
                 return True
@@ -332,7 +333,7 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
         [rad], [rad^2]
     """
     memory, kept, tape = filter.memory, compass.memory, filter.tape
-    P, nav, x, a, north = memory.P, memory.nav, memory.x, compass.axes, compass.sensor.north
+    P, nav, x, a, north = memory.P, memory.nav, memory.x, compass.axes, compass.sensor.observes.north
     R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
     nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
     for at in (3, 6):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import ROUND_GRAVITY
+from navfilter.models.sensors.observable import Observable
 
 __all__ = ["Widening", "reset_variance", "state_contradicted", "whole_heading", "whole_residual", "widening"]
 
@@ -66,13 +67,15 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
         if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
-            motion |= {sensor.corrects} if _off(other) > MOTION.get(sensor.corrects, math.inf) else set()
+            motion |= (
+                {sensor.observes.corrects} if _off(other) > MOTION.get(sensor.observes.corrects, math.inf) else set()
+            )
             alone |= _goes_away(other)
-        present |= {sensor.corrects} if heard else set()
+        present |= {sensor.observes.corrects} if heard else set()
         if heard and not other.aside and refused_s > 0.5 * sensor.gate_timeout_s:
-            against.append(sensor.corrects)
+            against.append(sensor.observes.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
-            for_it.append(sensor.corrects)
+            for_it.append(sensor.observes.corrects)
     against_motion = motion == MOTION.keys() or (alone and "velocity" not in present)
     gone = against_motion and not MOTION.keys() & set(for_it)
     return gone or (len(against) > 1 and not for_it) or _place_contradicted(channels, time_s)
@@ -86,7 +89,7 @@ def _place_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     for channel in channels:
         memory, sensor = channel.memory, channel.sensor
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * channel.period_s)
-        if heard and sensor.corrects in PLACE:
+        if heard and sensor.observes.corrects in PLACE:
             refused.append(time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s and _off(channel) > 0.0)
     return len(refused) > 1 and all(refused)
 
@@ -105,7 +108,7 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
         Now [s].
     """
     largest, opened = np.zeros(6), np.zeros(3)
-    agree = {channel.sensor.corrects for channel in channels if channel.memory.agrees}
+    agree = {channel.sensor.observes.corrects for channel in channels if channel.memory.agrees}
     for channel in channels:
         since_s = channel.memory.rejected_since_s
         if not math.isnan(since_s):
@@ -137,7 +140,7 @@ def _goes_away(channel: Channel) -> bool:
 def _off(channel: Channel) -> float:
     """Largest residual of the last reading; 0 where that says nothing of the state."""
     largest = float(np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0))
-    return largest if largest <= MOST_OFF.get(channel.sensor.corrects, math.inf) else 0.0
+    return largest if largest <= MOST_OFF.get(channel.sensor.observes.corrects, math.inf) else 0.0
 
 
 class Widening(NamedTuple):
@@ -188,7 +191,7 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     a, H = channel.axes, channel.H
     seen = channel.PH @ H.T
     grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / max(np.trace(seen), 1e-300)))
-    places = slice(9, int(channel.dims[2])) if channel.sensor.reads_rate else slice(9)
+    places = slice(9, int(channel.dims[2])) if (channel.sensor.observes is Observable.RATE) else slice(9)
     spread = np.diag(P)[places, None] * H[:, places].T
     inverse = np.linalg.pinv(H[:, places] @ spread, hermitian=True)
     return Widening(places, grow * spread @ inverse @ seen @ inverse @ spread.T, max(1.0, nis / limit))
@@ -212,5 +215,5 @@ def whole_residual(channel: Channel, x: Array) -> Array:
 
 def whole_heading(channel: Channel, x: Array) -> float:
     """Of a compass that component of `whole_residual` which is a heading [rad]."""
-    assert channel.sensor.north is not None
-    return float(whole_residual(channel, x)[channel.sensor.north])
+    assert channel.sensor.observes.north is not None
+    return float(whole_residual(channel, x)[channel.sensor.observes.north])

@@ -33,7 +33,7 @@ def used(filter: Filter, channel: Channel, time_s: float) -> None:
     turns away. Nothing that it reads is used then until it agrees without them.
     """
     kept = channel.memory
-    if not channel.offset or channel.sensor.north is None or time_s - kept.jumped_s < SPAN_S:
+    if not channel.offset or channel.sensor.observes.north is None or time_s - kept.jumped_s < SPAN_S:
         return
     slope, sd = _slope(filter, channel)
     if abs(slope) - SURE * sd > SLOPE:

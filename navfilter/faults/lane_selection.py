@@ -134,7 +134,7 @@ class Choice:
         self._inertial, self._force_sd = np.array(inertial), force_sd
         self.told: Callable[[], None] | None = None
         self.names = [name for name, sensor in sensors.items() if not sensor.from_drive]
-        self._velocity = [i for i, name in enumerate(self.names) if sensors[name].corrects == "velocity"]
+        self._velocity = [i for i, name in enumerate(self.names) if sensors[name].observes.corrects == "velocity"]
         self._sd = [_sds(sensors[name]) for name in self.names]
         shape = len(inertial), len(self.names), 4
         self._axes = max((len(self._sd[i]) for i in self._velocity), default=0)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from navfilter.faults.allowed_change import wander
 from navfilter.kernels import noise_scale as kernels
-from navfilter.kernels import open_loop_residual
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -90,9 +90,9 @@ def facts(filter: Filter, channel: Channel) -> Array:
     if channel.facts is not None and not channel.offset:  # where it has jumped, errors go with the speed
         return channel.facts
     sensor, a = channel.sensor, channel.axes
-    velocity = sensor.open_loop == open_loop_residual.VELOCITY
-    kind = kernels.HEADING if sensor.north is not None else kernels.VELOCITY if velocity else kernels.OTHER
-    height = sensor.open_loop == open_loop_residual.POSITION and a == 1
+    velocity = sensor.observes is Observable.VELOCITY_BODY
+    kind = kernels.HEADING if sensor.observes.north is not None else kernels.VELOCITY if velocity else kernels.OTHER
+    height = sensor.observes is Observable.HEIGHT
     known = np.zeros(kernels.facts_size(a))
     known[kernels.LASTING], known[kernels.KIND] = filter.inertial and (velocity or height), kind
     known[kernels.PERIOD_S], known[kernels.DRIVE_PERIOD_S] = channel.period_s, filter.vehicle.drive.period_s
@@ -124,7 +124,7 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
     if (used and (kept is None or not kept.watched)) or not (dof and math.isfinite(nis)):
         return nis  # a stretch does not tell these
     memory, note, at = filter.memory, noted(channel), channel.places
-    north = -1 if channel.sensor.north is None else channel.sensor.north
+    north = -1 if channel.sensor.observes.north is None else channel.sensor.observes.north
     ignored = frozen or channel.aside or filter.watch.busy(memory.watch)
     of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
     nis = kernels.heard(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))

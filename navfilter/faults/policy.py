@@ -37,8 +37,8 @@ from navfilter.filter.model_change import Change
 from navfilter.filter.python_update import update
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
-from navfilter.kernels import open_loop_residual
 from navfilter.models.fault_bias import with_offsets
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -79,7 +79,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return False
     if channel.sensor.ground:
         kept.way = alternative_path.with_refused(filter, channel, time_s)
-    if channel.sensor.north is not None:
+    if channel.sensor.observes.north is not None:
         gyro_scale.refused(filter, channel, time_s, innovation_gate.whole_heading(channel, memory.x))
     if channel.moves:
         filter.accused = acceleration.accused(filter, channel, time_s)
@@ -92,7 +92,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         filter.tilted = realignment.tilted(filter, channel, time_s)
         if filter.tilted:
             return False
-    if channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3:
+    if channel.sensor.observes is Observable.FIX:
         change = dead_reckoning_compass.contradicted(filter, channel, time_s)
         if change is not None:
             filter.jumped += [Change(channel.name, channel.sensor.models, afresh=True), change]
@@ -145,7 +145,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
     kept.refused = refused = sensor_bias.heard(channel, memory.P, speed, time_s, *drive)
     kept.refused_s = time_s
-    if channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3:
+    if channel.sensor.observes is Observable.FIX:
         kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
         if _heading_outvoted(filter, channel, refused, time_s):
             return False
@@ -168,7 +168,9 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     memory.counts["reset"] += 1
     told = math.sqrt(float(memory.P[8, 8]))
     held = any(
-        other.sensor.corrects == "depth" and other is not channel and time_s - other.memory.used_s < sensor_bias.SPAN_S
+        other.sensor.observes.corrects == "depth"
+        and other is not channel
+        and time_s - other.memory.used_s < sensor_bias.SPAN_S
         for other in filter.channels.values()
     )
     memory.P[:9, :9] += sensor_bias.opened_state(channel, refused, moved_m, held, carried)
@@ -176,7 +178,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         unit = filter.layout.drive
         own = np.concatenate(unit.biases[3:])
         memory.P[unit.start + own, unit.start + own] += unit.P0[own, own]
-    north = channel.sensor.north
+    north = channel.sensor.observes.north
     if north is not None:
         angle, variance = refused.offset[north], refused.variance[north] + channel.slow[north]
         most = abs(angle) + IN_LINE * told
@@ -263,7 +265,7 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
         channel.memory.refused = None
         if change.afresh or change.error is not channel.sensor.models:
             filter.adopt(change, tell)
-        if change.turn is not None and channel.sensor.north is None:
+        if change.turn is not None and channel.sensor.observes.north is None:
             turned_by_fixes(filter, *change.turn, tell)
         elif change.turn is not None:
             turned(filter, channel, *change.turn)
@@ -275,7 +277,7 @@ def _turned_to_the_compass(filter: Filter) -> None:
     for channel in filter.channels.values():
         kept = channel.memory
         lasts = now_s - kept.rejected_since_s >= realignment.REFUSED_S and now_s - kept.last_s < realignment.HEARD_S
-        north = channel.sensor.north
+        north = channel.sensor.observes.north
         if lasts and north is not None and not channel.offset:
             off = innovation_gate.whole_heading(channel, filter.memory.x)
             if abs(off) < math.tau:  # else it is no angle
@@ -305,8 +307,8 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
         filter.jumped.append(Change(channel.name, opened, offsets=True))
     elif refused.back >= LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
-        moving = channel.sensor.open_loop == open_loop_residual.VELOCITY and speed > SLOW
-        only, deviates = channel.sensor.jumps, channel.sensor.north is not None
+        moving = channel.sensor.observes is Observable.VELOCITY_BODY and speed > SLOW
+        only, deviates = channel.sensor.jumps, channel.sensor.observes.north is not None
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
         filter.jumped.append(Change(channel.name, opened, offsets=True))
     elif channel.moves and filter.inertial and time_s - kept.jumped_s < AGAIN_S:
@@ -361,7 +363,7 @@ def _runs_away(filter: Filter, channel: Channel, time_s: float) -> None:
 
 def _follows(channel: Channel, time_s: float) -> None:
     """Remember that the state is set to fixes against what was believed before: they may be what was wrong."""
-    if channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3:
+    if channel.sensor.observes is Observable.FIX:
         before_m, before_s = channel.memory.beat or (0.0, -math.inf)
         off_m = math.hypot(*np.nan_to_num(channel.res[:2]).tolist())
         channel.memory.beat = max(off_m, before_m if time_s - before_s < FOLLOWED_S else 0.0), float(time_s)

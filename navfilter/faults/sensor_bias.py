@@ -24,7 +24,7 @@ from navfilter.faults.protection_level import CONFIRMED_S
 from navfilter.faults.refusals import Refusals
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.kernels import open_loop_residual
+from navfilter.models.sensors.observable import Observable
 
 __all__ = [
     "alike",
@@ -43,6 +43,9 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+#: What an offset can be told of: these read the state itself.
+JUDGED = (Observable.FIX, Observable.HEIGHT, Observable.HEADING, Observable.ATTITUDE, Observable.VELOCITY_BODY)
+PLACE = (Observable.FIX, Observable.HEIGHT)
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
 #: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
@@ -70,19 +73,19 @@ AGAIN = 0.02
 # ---------------------------------------------------------------- hearing refused readings
 def judges(channel: Channel) -> bool:
     """Whether anything is to be made of refused readings of its kind that agree."""
-    return channel.sensor.open_loop != open_loop_residual.NOTHING or channel.sensor.north is not None
+    return channel.sensor.observes in JUDGED
 
 
 def is_gauge(channel: Channel) -> bool:
     """Whether it tells the height, and nothing else."""
-    return channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 1
+    return channel.sensor.observes is Observable.HEIGHT
 
 
 def alike(one: Channel, other: Channel) -> bool:
     """Whether two sensors confirm the same of the state."""
-    if one.sensor.north is not None:
-        return other.sensor.north is not None
-    return one.sensor.open_loop == other.sensor.open_loop and one.axes == other.axes
+    if one.sensor.observes.north is not None:
+        return other.sensor.observes.north is not None
+    return one.sensor.observes is other.sensor.observes and one.axes == other.axes
 
 
 def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float) -> Refusals:
@@ -168,7 +171,7 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
     if time_s - channel.memory.partly_since_s >= channel.partly_for_s:
         closer[0] = np.inf
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
-    held = held and not (channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3)
+    held = held and channel.sensor.observes is not Observable.FIX
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
     if dived:
@@ -189,11 +192,11 @@ def as_usual_until_s(channel: Channel) -> float:
         return -math.inf
     if refused is None:
         return math.inf
-    fixes = channel.sensor.open_loop == open_loop_residual.POSITION and channel.axes == 3
+    fixes = channel.sensor.observes is Observable.FIX
     left = refused.jumped or not memory.undisputed
     if refused.jumped and not fixes:
         return -math.inf
-    since_s = memory.rejected_since_s + SPAN_S if left and channel.sensor.north is not None else math.inf
+    since_s = memory.rejected_since_s + SPAN_S if left and channel.sensor.observes.north is not None else math.inf
     return min(since_s, memory.used_s + channel.dive_s) - SAME_S
 
 
@@ -203,7 +206,7 @@ def disproved(channel: Channel, time_s: float) -> bool:
     reads the mirror of the heading, or one axis less, is right twice in a circle, and wrong again by the next turn.
     """
     memory = channel.memory
-    if channel.sensor.north is None or channel.offset or memory.refused is None:
+    if channel.sensor.observes.north is None or channel.offset or memory.refused is None:
         return False
     left = memory.refused.jumped or not memory.undisputed
     return left and time_s - memory.rejected_since_s > SPAN_S
@@ -222,19 +225,19 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
     carried : bool
         Whether more than accelerometers tells the height.
     """
-    memory, kind = channel.memory, channel.sensor.open_loop
+    memory, kind = channel.memory, channel.sensor.observes
     refused = memory.refused
     if refused is not None and not carried and is_gauge(channel) and refused.last_s - memory.rejected_since_s >= SPAN_S:
         off = float(np.abs(channel.res[0]))
         if off > GROWN * abs(refused.first[0]) and off < REACH_M:
             return "state"
-    if refused is None or not refused.agree(VELOCITY_SPAN_S if kind == open_loop_residual.VELOCITY else SPAN_S):
+    if refused is None or not refused.agree(VELOCITY_SPAN_S if kind is Observable.VELOCITY_BODY else SPAN_S):
         return None
-    fixes = kind == open_loop_residual.POSITION and channel.axes == 3
+    fixes = kind is Observable.FIX
     if refused.from_the_first():
         # a fix that is off by a constant says nothing more; a compass that came to agree on one late was off by more
         return None if fixes or disproved(channel, refused.began_s) else "sensor"
-    if kind == open_loop_residual.POSITION and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
+    if kind in PLACE and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
         return None
     unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S
     # after a dive fixes beat what was reckoned meanwhile
@@ -266,8 +269,8 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
     offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])
     size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
     fits = np.array(refused.variance) + np.array(refused.seen)
-    kind = channel.sensor.open_loop
-    north = channel.sensor.north
+    kind = channel.sensor.observes
+    north = channel.sensor.observes.north
     if north is not None:
         # heading and velocity are turned (`course.turned`); the way made good may be turned by as much
         V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[north])), math.pi)) * moved_m) ** 2
@@ -276,8 +279,8 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
         tilt = np.where(beyond & (np.arange(channel.axes) != north), size, 0.0)
         V[6:8, 6:8] = channel.near[:, 6:8].T @ (tilt[:, None] * channel.near[:, 6:8])
         return V
-    first = 0 if kind == open_loop_residual.POSITION else 3
-    if kind == open_loop_residual.POSITION and channel.axes == 3:
+    first = 0 if kind in PLACE else 3
+    if kind is Observable.FIX:
         # a height that fits is not opened, nor one that another sensor holds while it is the place that does not fit
         beyond = offset**2 > channel.limits[1:4] * (fits + channel.slow)
         size[2] = size[2] if beyond[2] and not (held and beyond[:2].any()) else 0.0
@@ -289,12 +292,12 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
         off, mean = offset @ N, offset @ N / span_s
         V[:3, 3:6], V[3:6, :3] = 1.5 * np.outer(off, mean), 1.5 * np.outer(mean, off)
         V[3:6, 3:6] = (1.5**2 + 0.5**2) * np.outer(mean, mean)
-    if kind == open_loop_residual.VELOCITY and channel.sensor.ground != ground_velocity.AXES:
+    if kind is Observable.VELOCITY_BODY and channel.sensor.ground != ground_velocity.AXES:
         known = ground_velocity.components(channel, seen).astype(bool)
         A = ground_velocity.as_velocity(channel, known)
         off, variance = (ground_velocity.components(channel, np.array(v))[known] for v in (offset, refused.variance))
         V[3:6, 3:6] = np.outer(A @ off, A @ off) + A @ (variance[:, None] * A.T)
-    if kind == open_loop_residual.VELOCITY:
+    if kind is Observable.VELOCITY_BODY:
         V[:3, :3] = V[3:6, 3:6] * (refused.last_s - refused.began_s) ** 2
     return V
 

@@ -14,6 +14,7 @@ from navfilter.kernels import batch, delayed_state, kalman, measurement, strapdo
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.kernels.compiling.registers import LANES
+from navfilter.models.sensors.observable import Observable
 
 if TYPE_CHECKING:
     from navfilter.filter.filter_memory import FilterMemory
@@ -102,7 +103,7 @@ def asked(
     channel.transition[:] = memory.acc[: len(channel.transition)]
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
     outputs, errors = drive.outputs(drive_output, memory.drv, x[: drive_output.shape[1] - 1])
-    z = channel.without_errors(z, outputs, errors) if channel.sensor.reads_rate else z
+    z = channel.without_errors(z, outputs, errors) if (channel.sensor.observes is Observable.RATE) else z
     if channel.turns:
         channel.rate[:] = drive.body_rate(memory.drv, errors[:3])
     channel.R[:] = channel.white
@@ -145,7 +146,7 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     P, nav = memory.P, memory.nav
     before, own = tuple(nav[3:6]), memory.drv[strapdown.OWN : strapdown.OWN + 1]
     turns = bool(own[0]) and kalman.turns_along(P, nav[3], nav[4])
-    if (north := channel.sensor.north) is not None:
+    if (north := channel.sensor.observes.north) is not None:
         channel.mem[channel.places[9] - batch.NOTED + batch.NORTH_WHITE] = R[north, north]
     moves = channel.moves and np.isfinite(channel.res).sum() >= 3
     kept = keep(memory, channel, drive_output)

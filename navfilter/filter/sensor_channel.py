@@ -17,8 +17,9 @@ from navfilter.filter.channel_model import Described
 from navfilter.filter.delayed_measurement import Sight
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.kernels import batch, delayed_state, kalman, measurement, open_loop_residual
+from navfilter.kernels import batch, delayed_state, kalman, measurement
 from navfilter.models.sensors import Sensor
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
@@ -51,9 +52,7 @@ class Channel:
         self.name, self._start = name, start
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        fixes = (
-            sensor.open_loop == open_loop_residual.POSITION and sensor.axes == 3
-        )  # none for longer than this: it has dived [s]
+        fixes = sensor.observes is Observable.FIX  # none for longer than this: it has dived [s]
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight, self.lead_s = Sight(sensor, start) if sensor.place_and_clock() else None, sensor.lead_s
@@ -62,7 +61,7 @@ class Channel:
         )
         # kernels of a user's own are asked by Python: what they raise is to be seen
         self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
-        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.moves, self.turns = sensor.observes.in_body_axes, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.held = sensor.held()
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
@@ -159,9 +158,12 @@ class Channel:
             self._last[-batch.NOTED : -1] = kept[-batch.NOTED : -1]
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
-        is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
+        is_so, partly = (
+            (self.moves, self.turns, (self.sensor.observes is Observable.RATE)),
+            self.partly_for_s < math.inf,
+        )
         asked = own.kernels if self.known else (0, 0, 0, 0)
-        north = -1 if self.sensor.north is None else self.sensor.north
+        north = -1 if self.sensor.observes.north is None else self.sensor.observes.north
         more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False
         self.spot = np.array([*self.dims.tolist(), *asked, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
@@ -258,7 +260,7 @@ class Channel:
         since, by more than its noise and the velocity's could hide. Then the receiver is stuck, or it is no new fix.
         """
         memory = self._memory
-        if self.sensor.corrects != "position" or self.axes < 2:
+        if self.sensor.observes.corrects != "position" or self.axes < 2:
             return False
         if memory.again_s != memory.last_s:
             memory.same_s = memory.last_s
@@ -277,7 +279,7 @@ class Channel:
         state, of_rad = self.deviations
         if len(state):
             # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
-            self.C[self.sensor.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
+            self.C[self.sensor.observes.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
 
     def jumped_by(self, x: Array) -> Array:
         """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""
@@ -286,7 +288,7 @@ class Channel:
 
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
-        if self.sensor.north is not None:
+        if self.sensor.observes.north is not None:
             error = self.C @ x[self.group.start - 9 :][: self.group.errors]
             own = self.res - error
             self.wrap(own)
@@ -294,7 +296,7 @@ class Channel:
 
     def wrap(self, residual: Array) -> None:
         """Bring the difference of two headings within half a turn, in place."""
-        north = self.sensor.north
+        north = self.sensor.observes.north
         if north is not None:
             residual[north] = (residual[north] + np.pi) % (2.0 * np.pi) - np.pi
 

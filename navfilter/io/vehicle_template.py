@@ -119,7 +119,7 @@ def vehicle_template(drive: str = "imu") -> str:
 def _shown(drive: str) -> list[Any]:
     """The kinds of correcting sensors to show: those that bring a template, but for what dead reckoning is made of."""
     kinds: list[Any] = [kind for kind in kinds_below(Sensor) if "template" in vars(kind)]
-    others = [kind for kind in kinds if kind.corrects not in ("heading", "velocity") and not kind.from_drive]
+    others = [kind for kind in kinds if kind.observes.corrects not in ("heading", "velocity") and not kind.from_drive]
     return others if drive == "dead-reckoning" else kinds
 
 

@@ -157,7 +157,7 @@ class Vehicle:
         lanes = {name: Vehicle(unit, self.sensors, self.name) for name, unit in self.units.items()}
         if not self.dead_reckoning_lane and (self.dead_reckoning_lane is False or len(lanes) < 2):
             return lanes
-        seen = {sensor.corrects for sensor in self.sensors.values()}
+        seen = {sensor.observes.corrects for sensor in self.sensors.values()}
         lacks = [what for what in ("heading", "velocity") if what not in seen]
         lacks += [] if lanes else ["inertial unit beside it (a DeadReckoning is one already)"]
         if LEVEL in self.sensors:

@@ -226,7 +226,7 @@ class Passage:
                 continue
             mine, sds = np.flatnonzero(which == i), given.sds[i]
             z, good = channel.sensor.read_all(given.rows(i, at + mine))
-            if channel.sensor.corrects == "position":
+            if channel.sensor.observes.corrects == "position":
                 dived = np.diff(given.time_s[mine + at], prepend=channel.memory.used_s) > channel.dive_s
                 good = good & ~same[mine] & ~dived  # what a fix is worth then is Python's to judge
             self._good[mine] = good

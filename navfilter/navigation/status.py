@@ -76,7 +76,7 @@ def health_of(
     held = filter.inertial and drive.feels
     slow, fix = 0.0, _last_fix(filter, watches)
     for name, watch in watches.items():
-        sees, known = channels[name].sensor.corrects, _off(channels[name], watch, now_s)
+        sees, known = channels[name].sensor.observes.corrects, _off(channels[name], watch, now_s)
         off[sees] = max(off.get(sees, 0.0), known)
         slow = max(slow, *channels[name].slow) if sees == "heading" and known > 0.0 else slow
         slow = max(slow, told_by_fixes(channels[name], memory.nav, *fix[1:]))
@@ -87,14 +87,15 @@ def health_of(
             off["position"] = max(off["position"], beside(channels[name], memory.x))
     age_s, moved_m = memory.time_s - fix[0], _distance(memory.nav, *fix[1:])
     beside_m = max((since_fix(filter, channel).length for channel in channels.values()), default=0.0)
-    compared = filter.inertial or any(channel.sensor.corrects == "heading" for channel in channels.values())
+    compared = filter.inertial or any(channel.sensor.observes.corrects == "heading" for channel in channels.values())
     radius_m, heading_rad = protection_level.bounds(P, age_s, moved_m, off, held, slow, beside_m, compared)
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
     rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
     calm = {
-        name: (*CALM, "silent") if channel.sensor.corrects == "position" else CALM for name, channel in channels.items()
+        name: (*CALM, "silent") if channel.sensor.observes.corrects == "position" else CALM
+        for name, channel in channels.items()
     }
     doubts = [f"{name} is {s.condition}" for name, s in sensors.items() if s.condition not in calm[name]]
     doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
@@ -116,7 +117,7 @@ def _last_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, floa
     start = filter.start
     last = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
     for name, watch in watches.items():
-        if filter.channels[name].sensor.corrects == "position" and watch.used_s > last[0]:
+        if filter.channels[name].sensor.observes.corrects == "position" and watch.used_s > last[0]:
             last = watch.used_s, *watch.place
     return last
 
@@ -131,7 +132,7 @@ def _distance(nav: Array, latitude: float, longitude: float) -> float:
 def _off(channel: Channel, watch: Watch, now_s: float) -> float:
     """What a sensor may be off by; 0 for one that has not been heard, or has been found to be off."""
     sensor, kept, a = channel.sensor, channel.memory, channel.axes
-    if channel.offset or not sensor.corrects:
+    if channel.offset or not sensor.observes.corrects:
         return 0.0
     note = channel.note.tolist()
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
@@ -140,7 +141,8 @@ def _off(channel: Channel, watch: Watch, now_s: float) -> float:
     alone = kept.alone[0] if kept.alone else 0.0
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
         return max(
-            alone, float(protection_level.whole_offset(sensor.corrects, channel.note[3 : 3 + a], max(channel.slow)))
+            alone,
+            float(protection_level.whole_offset(sensor.observes.corrects, channel.note[3 : 3 + a], max(channel.slow))),
         )
     if kept.astray:
         # it may have been off by what was still believed of its error

@@ -1,5 +1,4 @@
-"""The bounds of `navfilter.faults.protection_level` along a track, from its covariance and what became of the readings.
-"""
+"""The bounds of `navfilter.faults.protection_level` along a track, from its covariance and its measurements."""
 
 from __future__ import annotations
 
@@ -37,14 +36,14 @@ def bounds_along(track: Track) -> Array:
     slow = np.zeros(len(track))
     for name in track.residuals:
         sensor, known = track.vehicle.sensors[name], _off(track, name)
-        sees = sensor.corrects
+        sees = sensor.observes.corrects
         off[sees] = np.maximum(off.get(sees, 0.0), known)
         slow = np.maximum(slow, np.where(known > 0.0, max(_slow(sensor)), 0.0)) if sees == "heading" else slow
         fixes += [track.residuals[name]] if sees == "position" else []
     away, inertial = _since_fix(track, fixes), track.vehicle.drive.inertial
     refused = [_refused_way(track, name, track.time_s - away[0]) for name in track.residuals]
     beside_m = np.max(refused, axis=0, initial=0.0)
-    compared = inertial or any(track.vehicle.sensors[name].corrects == "heading" for name in track.residuals)
+    compared = inertial or any(track.vehicle.sensors[name].observes.corrects == "heading" for name in track.residuals)
     return np.column_stack(bounds(track.covariance, *away, off, inertial, slow, beside_m, compared))
 
 
@@ -53,7 +52,7 @@ def _off(track: Track, name: str) -> Array:
     r, sensor = track.residuals[name], track.vehicle.sensors[name]
     used = r.outcome == OUTCOMES.index("used")
     judged = used | (r.outcome == OUTCOMES.index("rejected"))
-    if not judged.any() or not sensor.corrects:
+    if not judged.any() or not sensor.observes.corrects:
         return np.zeros(len(track))
     time_s, refused, sd = r.time_s[judged], ~used[judged], r.sd[judged]
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
@@ -63,8 +62,8 @@ def _off(track: Track, name: str) -> Array:
     limit = float(chi_square_limit(sensor.gate_probability, sensor.axes))
     unseen = np.sqrt(limit * _largest(np.where(np.isnan(sd), 0.0, sd**2 + slow)))
     last = _so_far(time_s, track.time_s) - 1
-    off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]
-    if sensor.corrects == "position" and sensor.axes == 3:
+    off = np.where(again, whole_offset(sensor.observes.corrects, r.value[judged], max(slow)), unseen)[last]
+    if sensor.observes.corrects == "position" and sensor.axes == 3:
         for k in _beat(r.value[judged], sd, refused, limit):
             after = (track.time_s >= time_s[k]) & (track.time_s < time_s[k] + FOLLOWED_S)
             off[after] = np.maximum(off[after], np.hypot(*np.nan_to_num(r.value[judged][k, :2])))

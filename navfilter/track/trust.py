@@ -136,7 +136,7 @@ def _reasons(run: Track) -> Iterator[tuple[str, str, Mask]]:
         if name in run.residuals and len(run.residuals[name].time_s):
             conditions = _conditions(run, name, sensor)
             # fixes are not there under water: what that costs is in the bounds
-            calm = "silent" if sensor.corrects == "position" else ""
+            calm = "silent" if sensor.observes.corrects == "position" else ""
             yield from (("degraded", f"{name} is {what}", rows) for what, rows in conditions if what != calm)
 
 

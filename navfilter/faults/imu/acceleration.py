@@ -104,7 +104,7 @@ def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
     kept, stated = channel.memory, filter.vehicle.drive.max_speed_m_s
     if not time_s - kept.rejected_since_s >= RUNAWAY_S or not _was_right(filter, channel):
         return False
-    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.corrects == "position")
+    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
     if max(fixes, default=-math.inf) > kept.rejected_since_s:
         return False
     claimed = math.hypot(*read(filter, channel).tolist())

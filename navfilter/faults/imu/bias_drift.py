@@ -137,7 +137,7 @@ def _undisputed(filter: Filter, time_s: float) -> bool:
 def _compass(filter: Filter) -> Channel | None:
     """One that has been heard just now."""
     heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < batch.COMPASS_S]
-    return next((c for c in heard if c.sensor.north is not None), None)
+    return next((c for c in heard if c.sensor.observes.north is not None), None)
 
 
 def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: float) -> bool:
@@ -145,7 +145,7 @@ def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: flo
     if compass is None:
         return True
     heard, e = np.flatnonzero(np.isfinite(looks[:, APART])), compass.group.errors
-    north = compass.sensor.north
+    north = compass.sensor.observes.north
     tick, P0, C = compass.group.Phi[:e, :e], compass.group.P0[:e, :e], compass.C[north]
     look = np.linalg.matrix_power(tick, round(EVERY_S / compass.period_s))
     later = np.array([C @ np.linalg.matrix_power(look, k) @ P0 @ C for k in range(len(looks))])

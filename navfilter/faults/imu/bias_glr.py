@@ -166,14 +166,14 @@ class JumpWatch:
     def _carried(filter: Filter) -> bool:
         """Whether compass and DVL carry the vehicle without it."""
         recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
-        return any(c.moves and not c.aside for c in recent) and any(c.sensor.north is not None for c in recent)
+        return any(c.moves and not c.aside for c in recent) and any(c.sensor.observes.north is not None for c in recent)
 
     @staticmethod
     def fails_again(channel: Channel, memory: FilterMemory) -> bool:
         """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
         since_s = memory.time_s - channel.memory.rejected_since_s
         late = memory.time_s - memory.watch[[0, 3], kernel.UNTIL_S].max() < LONGEST_S
-        carries = not channel.aside and (channel.moves or channel.sensor.north is not None)
+        carries = not channel.aside and (channel.moves or channel.sensor.observes.north is not None)
         return late and since_s > REJECTED_S and carries
 
     def _leave_out(self, filter: Filter, sizes: Array) -> None:

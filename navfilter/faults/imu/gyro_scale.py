@@ -98,7 +98,7 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
         return
     if math.isnan(residual):  # an attitude without a heading
         return
-    north = channel.sensor.north
+    north = channel.sensor.observes.north
     noise = float(2.0 * channel.R[north, north] + wander(channel, time_s - before.time_s)[north])
     now = _stepped(before, time_s, _heading(memory.nav) + residual, w, noise)
     kept.turns = now

@@ -188,7 +188,7 @@ def _bound(filter: Filter, tell: Listening) -> None:
 
 def _tells_tilt(channel: Channel, now_s: float) -> bool:
     """Whether a sensor that reads roll and pitch agrees with the state, and has been used lately."""
-    memory, instrument = channel.memory, channel.sensor.north is not None and channel.axes > 1
+    memory, instrument = channel.memory, channel.sensor.observes.north is not None and channel.axes > 1
     return instrument and memory.agrees and now_s - memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
 
 

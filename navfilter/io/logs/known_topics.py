@@ -1,5 +1,4 @@
-"""What the topics of known kinds give: which readings, in which fields, units and axes (the rows of known_topics.toml).
-"""
+"""What the topics of known kinds give: which readings, in which fields, units and axes (known_topics.toml)."""
 
 from __future__ import annotations
 

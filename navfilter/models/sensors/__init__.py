@@ -10,6 +10,7 @@ from navfilter.models.sensors.attitude import Attitude
 from navfilter.models.sensors.beams import DvlBeams
 from navfilter.models.sensors.course import Course
 from navfilter.models.sensors.heading import Heading
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.odometer import Odometer
 from navfilter.models.sensors.position import Depth, Position
 from navfilter.models.sensors.ranges import Range
@@ -26,6 +27,7 @@ __all__ = [
     "Depth",
     "DvlBeams",
     "Heading",
+    "Observable",
     "Odometer",
     "Position",
     "Range",

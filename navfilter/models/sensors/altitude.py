@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
@@ -59,7 +60,7 @@ class Altitude(Sensor):
 
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.altitude)
     confirms_state: ClassVar[bool] = False
-    corrects: ClassVar[str] = "depth"
+    observes: ClassVar[Observable] = Observable.ALTITUDE
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ALTITUDE,),)
     plausible: ClassVar[Plausible | None] = Plausible(1e-3, 20.0, "cm", most_rate_hz=100.0)
     template: ClassVar[Example | None] = Example(

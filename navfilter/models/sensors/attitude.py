@@ -14,6 +14,7 @@ from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.heading import USUAL, Heading, checked_north, with_declination_sd
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
@@ -68,8 +69,7 @@ class Attitude(Sensor):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.attitude)
     confirms_state: ClassVar[bool] = False
     gives: ClassVar[str] = "attitude"
-    corrects: ClassVar[str] = "heading"
-    north: ClassVar[int | None] = 2
+    observes: ClassVar[Observable] = Observable.ATTITUDE
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ATTITUDE,),)
     plausible: ClassVar[Plausible | None] = USUAL
     template: ClassVar[Example | None] = Example(

@@ -77,7 +77,6 @@ class DvlBeams(BodyVelocity):
     single_gates: ClassVar[bool] = True
     tracks: ClassVar[int] = 2
     gives: ClassVar[str] = ""
-    ground: ClassVar[int] = MOST_BEAMS
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((BEAMS,),)
     beside: ClassVar[tuple[Columns, ...]] = (WATER_BEAMS,)
     template: ClassVar[Example | None] = Example(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import USUAL
@@ -58,7 +59,7 @@ class Course(Sensor):
     reads: ClassVar[int] = 2
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.ground_velocity)
-    corrects: ClassVar[str] = "velocity"
+    observes: ClassVar[Observable] = Observable.VELOCITY_NED
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((COURSE,), (VELOCITY_N,))
     plausible: ClassVar[Plausible | None] = USUAL._replace(most_sd=3.0)
     template: ClassVar[Example | None] = Example(

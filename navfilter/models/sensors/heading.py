@@ -14,6 +14,7 @@ from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
@@ -114,8 +115,7 @@ class Heading(Sensor):
     unit: ClassVar[str] = "rad"
     open_loop: ClassVar[int] = open_loop_residual.HEADING
     gives: ClassVar[str] = "heading"
-    corrects: ClassVar[str] = "heading"
-    north: ClassVar[int | None] = 0
+    observes: ClassVar[Observable] = Observable.HEADING
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((HEADING,), (FIELD,))
     beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
     plausible: ClassVar[Plausible | None] = USUAL

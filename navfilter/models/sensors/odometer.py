@@ -67,7 +67,7 @@ class Odometer(BodyVelocity):
     )
 
     @property
-    def ground(self) -> int:  # type: ignore[override]
+    def ground(self) -> int:
         """With constraints it tells all of the velocity."""
         return 3 if self.constrained else 0
 

@@ -14,6 +14,7 @@ from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Example, Plausible
 from navfilter.models.start import Start
@@ -71,7 +72,7 @@ class Depth(Sensor):
     confirms_state: ClassVar[bool] = False
     open_loop: ClassVar[int] = open_loop_residual.POSITION
     gives: ClassVar[str] = "depth"
-    corrects: ClassVar[str] = "depth"
+    observes: ClassVar[Observable] = Observable.HEIGHT
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((DEPTH,), (PRESSURE,))
     plausible: ClassVar[Plausible | None] = Plausible(1e-4, 10.0, "cm", most_rate_hz=200.0)
     template: ClassVar[Example | None] = Example(
@@ -179,7 +180,7 @@ class Position(Sensor):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.position)
     open_loop: ClassVar[int] = open_loop_residual.POSITION
     gives: ClassVar[str] = "position"
-    corrects: ClassVar[str] = "position"
+    observes: ClassVar[Observable] = Observable.FIX
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POSITION,),)
     beside: ClassVar[tuple[Columns, ...]] = (HDOP,)
     plausible: ClassVar[Plausible | None] = Plausible(

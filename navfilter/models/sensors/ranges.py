@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.kernels import measurement, strapdown
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
@@ -91,7 +92,7 @@ class Range(Sensor):
     reads: ClassVar[int] = 1
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.slant_range)
-    corrects: ClassVar[str] = "position"
+    observes: ClassVar[Observable] = Observable.RANGE
     bend: ClassVar[Callable[..., None] | None] = staticmethod(measurement.range_bend)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((RANGE,),)
     beside: ClassVar[tuple[Columns, ...]] = (BEACON,)

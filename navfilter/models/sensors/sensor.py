@@ -17,6 +17,7 @@ from navfilter.models.error_models import ErrorModel, White, per_axis
 from navfilter.models.learned_arma import resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 
@@ -75,11 +76,6 @@ class Sensor(Typed):
         Residual and Jacobian, with the arguments of `navfilter.kernels.measurement`.
     from_drive : bool
         Made from the drive's own samples: there is no stream, and there are no readings.
-    reads_rate : bool
-        Its three values are the drive's own first ones, and err as those do.
-    sees_velocity : bool
-        Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order
-        term while the heading is hardly known.
     single_gates : bool
         A component that contradicts the others is left out alone, as long as more than half of them remain.
     deviation : int or None
@@ -105,16 +101,12 @@ class Sensor(Typed):
     gives : str
         What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "attitude",
         "depth", "velocity", or nothing. Those of a heading and an attitude have a method `headings`.
-    ground : int
-        So many of its first components are of the velocity over ground: three axes, or the beams of a DVL.
     flows_m_s : float
         By so much that velocity may change without the vehicle, because it is one through moving water [m/s].
-    corrects : str
-        What of the state its readings bound: "position", "velocity", "heading", "depth".
+    observes : Observable
+        What of the state it observes. Fault rules and figures ask for this; a kind of its own states NONE.
     jumps : int, optional
         The one component that may come to be off by a constant; None: any may.
-    north : int, optional
-        Which component of its error is that of a heading: with it the sensor is a compass, whatever else it reads.
     contents, beside : tuple
         What a stream of a file may consist of: alternatives, each of one or more groups of columns; groups that may
         stand beside them.
@@ -141,8 +133,6 @@ class Sensor(Typed):
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]]
     from_drive: ClassVar[bool] = False
-    reads_rate: ClassVar[bool] = False
-    sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
     hidden: ClassVar[bool] = False
     deviation: ClassVar[int | None] = None
@@ -153,15 +143,18 @@ class Sensor(Typed):
     confirms_state: ClassVar[bool] = True
     open_loop: ClassVar[int] = open_loop_residual.NOTHING
     gives: ClassVar[str] = ""
-    ground: ClassVar[int] = 0
     flows_m_s: ClassVar[float] = 0.0
-    corrects: ClassVar[str] = ""
+    observes: ClassVar[Observable] = Observable.NONE
     jumps: ClassVar[int | None] = None
-    north: ClassVar[int | None] = None
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ()
     beside: ClassVar[tuple[Columns, ...]] = ()
     plausible: ClassVar[Plausible | None] = None
     template: ClassVar[Example | None] = None
+
+    @property
+    def ground(self) -> int:
+        """How many of its first components are of the velocity in body axes: three axes, or the beams of a DVL."""
+        return self.axes // self.tracks if self.observes.in_body_axes else 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

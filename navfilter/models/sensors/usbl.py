@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.ranges import EARTH, SIGHT_S_PER_M, earth_fixed
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, angle_doubt
@@ -107,7 +108,7 @@ class Usbl(Sensor):
     reads: ClassVar[int] = 6
     axis_names: ClassVar[tuple[str, ...]] = ("range", "across", "elevation")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.usbl)
-    corrects: ClassVar[str] = "position"
+    observes: ClassVar[Observable] = Observable.RANGE
     bend: ClassVar[Callable[..., None] | None] = staticmethod(measurement.usbl_bend)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POLAR, SHIP), (RELATIVE, SHIP))
     beside: ClassVar[tuple[Columns, ...]] = (SHIP_ATTITUDE,)

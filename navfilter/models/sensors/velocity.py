@@ -15,6 +15,7 @@ from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter, hidden_states
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_sds, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
@@ -83,11 +84,9 @@ class BodyVelocity(Sensor):
     reads: ClassVar[int] = 3
     axis_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.body_velocity)
-    sees_velocity: ClassVar[bool] = True
     open_loop: ClassVar[int] = open_loop_residual.VELOCITY
     gives: ClassVar[str] = "velocity"
-    ground: ClassVar[int] = 3
-    corrects: ClassVar[str] = "velocity"
+    observes: ClassVar[Observable] = Observable.VELOCITY_BODY
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((VELOCITY,),)
     plausible: ClassVar[Plausible | None] = USUAL
     template: ClassVar[Example | None] = Example(
@@ -254,6 +253,7 @@ class WaterVelocity(BodyVelocity):
 
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
     open_loop: ClassVar[int] = open_loop_residual.NOTHING
+    observes: ClassVar[Observable] = Observable.VELOCITY_WATER
     gives: ClassVar[str] = ""
     flows_m_s: ClassVar[float] = FLOWS_M_S
     template: ClassVar[Example | None] = Example(
@@ -366,7 +366,7 @@ class ZeroVelocity(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.velocity)
     from_drive: ClassVar[bool] = True
-    corrects: ClassVar[str] = "velocity"
+    observes: ClassVar[Observable] = Observable.VELOCITY_NED
     plausible: ClassVar[Plausible | None] = USUAL
     template: ClassVar[Example | None] = Example(
         "still",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.kernels import measurement, strapdown
 from navfilter.models.error_models import White
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import ZeroVelocity
@@ -54,9 +55,8 @@ class ZeroRate(ZeroVelocity):
     unit: ClassVar[str] = "rad_s"
     axis_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.earth_rate)
-    reads_rate: ClassVar[bool] = True
     confirms_state: ClassVar[bool] = False
-    corrects: ClassVar[str] = ""
+    observes: ClassVar[Observable] = Observable.RATE
     plausible: ClassVar[Plausible | None] = Plausible(1e-8, 1e-2, "deg_per_h")
     template: ClassVar[Example | None] = Example(
         "turning",
