@@ -97,13 +97,16 @@ class Digest:
 
 
 def snapshot_values(data: bytes) -> list[Any]:
-    """The values of a snapshot in sorted order: fields may move from one part to another."""
+    """The values of a snapshot in sorted order, without keys: fields may move from one part to another."""
     with np.load(io.BytesIO(data.split(b"\n", 2)[2]), allow_pickle=False) as archive:
         meta, floats, integers = (archive[name] for name in ("meta", "floats", "integers"))
     plain: list[str] = []
 
     def walk(value: Any) -> None:
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value.get("") == "dict":
+            for _, item in value["items"]:
+                walk(item)
+        elif isinstance(value, dict):
             for key, item in value.items():
                 if key not in ("", "at", "shape"):
                     walk(item)
@@ -114,6 +117,7 @@ def snapshot_values(data: bytes) -> list[Any]:
             plain.append(repr(value))
 
     walk(json.loads(meta.tobytes()))
+    floats = np.where(np.isnan(floats), np.nan, floats + 0.0)  # signs of NaN and zero have no order
     return [np.sort(floats), np.sort(integers), sorted(plain)]
 
 

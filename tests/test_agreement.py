@@ -249,12 +249,12 @@ def refusals_of(residual, jumped=False):
     P = filter.P.copy()
     P[range(3, 6), range(3, 6)] = 0.05**2
     if jumped:
-        channel.memory.agreed_s, channel.memory.used_s = 0.0, 99.0
+        channel.faults.agreed_s, channel.memory.used_s = 0.0, 99.0
         channel.verdict[:2] = 1e4, 3.0
     for k, row in enumerate(residual):
         channel.res[:] = row
         arguments = channel, P, 1.5, 100.0 + k, filter.drive_output, 0.01
-        channel.memory.refused = sensor_bias.heard(*arguments)
+        channel.faults.refused = sensor_bias.heard(*arguments)
     return channel
 
 
@@ -270,24 +270,24 @@ def test_agreement_is_a_constant_within_the_noise():
     noise = 0.5 * rng.normal(size=(20, 3))
     steady = noise + np.array([300.0, -40.0, 0.0])
     channel = refusals_of(steady)
-    assert channel.memory.refused.agree(8.0) and sensor_bias.decided(channel) == "state"
-    np.testing.assert_allclose(channel.memory.refused.offset[:2], [300.0, -40.0], atol=1.5)
+    assert channel.faults.refused.agree(8.0) and sensor_bias.decided(channel) == "state"
+    np.testing.assert_allclose(channel.faults.refused.offset[:2], [300.0, -40.0], atol=1.5)
     # a straight line, as a wrong heading makes, is none; nor are fixes all over the place
     ramp = noise + np.arange(20)[:, None] * np.array([6.0, 0.0, 0.0]) + 100.0
-    assert not refusals_of(ramp).memory.refused.agree(8.0)
-    assert not refusals_of(60.0 * noise).memory.refused.agree(8.0)
+    assert not refusals_of(ramp).faults.refused.agree(8.0)
+    assert not refusals_of(60.0 * noise).faults.refused.agree(8.0)
     # one odd reading among them is passed over
     odd = steady.copy()
     odd[7] += 500.0
-    assert refusals_of(odd).memory.refused.count == 19
+    assert refusals_of(odd).faults.refused.count == 19
 
 
 def test_who_has_jumped_is_a_matter_of_what_came_before():
     steady = 0.5 * np.random.default_rng(2).normal(size=(12, 3)) + np.array([300.0, -40.0, 0.0])
     assert sensor_bias.decided(refusals_of(steady, jumped=True)) is None  # of fixes: nothing is done
-    assert refusals_of(steady, jumped=True).memory.refused.from_the_first()
+    assert refusals_of(steady, jumped=True).faults.refused.from_the_first()
     slow = np.concatenate([np.linspace(0.1, 1.0, 12)[:, None] * steady.mean(axis=0), steady])
-    assert not refusals_of(slow, jumped=True).memory.refused.from_the_first()
+    assert not refusals_of(slow, jumped=True).faults.refused.from_the_first()
 
 
 def test_offsets_stand_beside_error_models():

@@ -88,7 +88,7 @@ def test_fixes_and_dvl_together_outvote_a_compass_that_is_off_from_the_start(off
     assert (late[:, 1] < 4.0 * math.sqrt(2.0) * late[:, 4]).all()
     # by fixes alone the heading is told as their way says; the filter, linearised at headings that differ, claims more
     compass, state = nav.filter.channels["compass"], nav.filter.memory.nav
-    variance, noise, *place = compass.memory.course
+    variance, noise, *place = compass.faults.course
     assert math.sqrt(noise) == pytest.approx(3.0, rel=0.1) and math.sqrt(variance) / DEG < 4.1
 
     def told(north_m):
@@ -102,7 +102,7 @@ def test_fixes_and_dvl_together_outvote_a_compass_that_is_off_from_the_start(off
         3.2905 * nav.state.sd[8],
     )
     assert nav.health.bounds.heading_rad == pytest.approx(bound) and bound > own
-    compass.memory.course = ()
+    compass.faults.course = ()
     assert nav.health.bounds.heading_rad == pytest.approx(own)
 
 
@@ -136,11 +136,11 @@ def test_the_bound_holds_where_a_compass_that_nobody_has_confirmed_may_have_led(
     nav, _ = fly(vehicle, mission)
     compass, place = nav.filter.channels["compass"], nav.filter.nav
     before_m = nav.state.bounds.horizontal_m
-    compass.memory.alone = (0.5 * math.pi, float(place[0]) - 100.0 / RADIUS_M, float(place[1]))
+    compass.faults.alone = (0.5 * math.pi, float(place[0]) - 100.0 / RADIUS_M, float(place[1]))
     # turned by a right angle, 100 m ago: as far off as the diagonal
     assert led_astray(compass, place) == pytest.approx(100.0 * math.sqrt(2.0), rel=0.01)
     assert nav.state.bounds.horizontal_m > 141.0 > before_m
-    compass.memory.alone = ()
+    compass.faults.alone = ()
     assert led_astray(compass, place) == 0.0 and nav.state.bounds.horizontal_m == before_m
 
 
@@ -163,7 +163,7 @@ def test_what_has_gone_astray_is_kept_in_a_snapshot():
     vehicle, mission = short(75.0)
     broken = altered(mission, "compass", turned, 0.0)
     nav, _ = fly(vehicle, broken, until_s=45.0)
-    assert nav.filter.channels["compass"].memory.alone and nav.filter.channels["gps"].memory.refused.course.count > 3
+    assert nav.filter.channels["compass"].faults.alone and nav.filter.channels["gps"].faults.refused.course.count > 3
     again = nf.Navigator.restore(vehicle, nav.snapshot())
     assert not differences(again.memory.filter, nav.memory.filter)
     track = nf.replay(vehicle, broken, output_rate_hz=None)

@@ -68,7 +68,7 @@ def test_a_water_track_that_is_refused_says_nothing_of_the_velocity_over_ground(
     nav = nf.Navigator(vehicle, mission.start, threads=False)
     one_by_one(nav, [e for e in events_of(vehicle, mission.between(0.0, 20.0)) if e.sensor != "dvl"])
     channel = nav.filter.channels["dvl"]
-    channel.memory.rejected_since_s = channel.memory.last_s = nav.time_s
+    channel.faults.rejected_since_s = channel.memory.last_s = nav.time_s
     channel.note[3 : 3 + channel.axes] = [np.nan] * 4 + [0.5] * 4
     assert realignment._refused_velocity(nav.filter) is None
     way = alternative_path.with_refused(nav.filter, channel, nav.time_s + 0.5)

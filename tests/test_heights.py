@@ -70,7 +70,7 @@ def test_a_gauge_that_jumps_says_nothing_of_the_height():
     nav = nf.Navigator(vehicle, mission.start)
     states = list(once_a_second(nav, vehicle, mission.with_stream("depth", dataclasses.replace(stream, value=value))))
     assert nav.counts["jumped"] == 1 and max(s.sd[2] for s in states if s.time_s > FAULT_S) < 0.2
-    assert not nav.filter.channels["depth"].memory.either and math.isclose(nav.errors["depth[0]"], 5.0, abs_tol=0.3)
+    assert not nav.filter.channels["depth"].faults.either and math.isclose(nav.errors["depth[0]"], 5.0, abs_tol=0.3)
 
 
 def test_gauge_and_fixes_together_beat_the_height():

@@ -106,8 +106,8 @@ def test_only_one_that_was_right_for_long_is_refused_now_and_then_without_a_jump
     vehicle, mission, _ = dive
     nav = nf.Navigator(vehicle, mission.start)
     channel = nav.filter.channels["dvl"]
-    kept, channel.verdict[:2], channel.res[:] = channel.memory, (1e4, 3.0), (0.5, 0.0, 0.0)
-    kept.agreed_s, kept.used_s, kept.disputed_s = 0.0, 99.75, disputed_s
+    kept, channel.verdict[:2], channel.res[:] = channel.faults, (1e4, 3.0), (0.5, 0.0, 0.0)
+    kept.agreed_s, channel.memory.used_s, kept.disputed_s = 0.0, 99.75, disputed_s
     kept.refused_s, kept.rejected_since_s = 99.5, 100.0
     assert heard(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped is jumped
     kept.refused_s = 90.0
@@ -141,7 +141,7 @@ def test_restored_while_it_is_refused_it_goes_on_as_before(dive):
     whole, half = (nf.Navigator(vehicle, mission.start) for _ in range(2))
     one_by_one(whole, events)
     one_by_one(half, [e for e in events if e.time_s <= FAULT_S + 1.3])
-    assert half.filter.channels["dvl"].memory.ramp
+    assert half.filter.channels["dvl"].faults.ramp
     again = nf.Navigator.restore(vehicle, half.snapshot())
     one_by_one(again, [e for e in events if e.time_s > FAULT_S + 1.3])
     same_runs.assert_same_bits(whole, again)

@@ -283,7 +283,7 @@ def test_what_refused_fixes_have_told_is_in_a_snapshot(dive):
     one_by_one(whole, wrong)
     whole.finish()
     nav, k = nf.Navigator(vehicle, mission.start, threads=False), 0
-    while nav.filter.channels["gps"].memory.reckoned is None or nav.time_s < 45.0:
+    while nav.filter.channels["gps"].faults.reckoned is None or nav.time_s < 45.0:
         one_by_one(nav, [wrong[k]])
         k += 1
     other = nf.Navigator.restore(vehicle, nav.snapshot())

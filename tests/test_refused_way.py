@@ -39,16 +39,16 @@ def refusing():
     nav = nf.Navigator(vehicle, dataclasses.replace(mission.start, heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0))
     channel = nav.filter.channels["dvl"]
     channel.near[:, 3:6], channel.note[3:6] = np.eye(3), (0.4, 0.3, 0.0)
-    channel.memory.rejected_since_s = 10.0
+    channel.faults.rejected_since_s = 10.0
     return nav.filter, channel
 
 
 def test_the_residuals_are_integrated_from_the_second_refused_reading_on(refusing):
     filter, channel = refusing
     for time_s in (10.0, 10.5, 11.0, 30.0):
-        channel.memory.way = with_refused(filter, channel, time_s)
+        channel.faults.way = with_refused(filter, channel, time_s)
     # half a second twice, and one that speaks for a second after a long silence
-    way = channel.memory.way
+    way = channel.faults.way
     assert (way.time_s, way.north, way.east) == pytest.approx((30.0, 0.8, 0.6))
     assert way.length == pytest.approx(1.0)
     assert since_fix(filter, channel) == way
@@ -61,9 +61,9 @@ def test_one_that_has_jumped_counts_as_far_as_its_constants_do_not_explain_it(re
     channel.offset = True
     monkeypatch.setattr(channel, "jumped_by", lambda x: np.array([2.0, 0.0, 0.0]))
     for time_s in (10.0, 10.5, 11.0):
-        channel.memory.way = with_refused(filter, channel, time_s)
-    assert channel.memory.way.north == pytest.approx(2.4) and channel.memory.way.length == pytest.approx(0.5)
-    channel.memory.aside = True
+        channel.faults.way = with_refused(filter, channel, time_s)
+    assert channel.faults.way.north == pytest.approx(2.4) and channel.faults.way.length == pytest.approx(0.5)
+    channel.faults.aside = True
     assert with_refused(filter, channel, 11.5).length == pytest.approx(0.5)
 
 
@@ -91,7 +91,7 @@ def test_wheels_that_are_refused_beside_their_constants_hold_the_position():
 def test_what_no_vehicle_can_do_does_not_count(refusing):
     filter, channel = refusing
     channel.note[3:6] = 1500.0, 0.0, 0.0
-    channel.memory.way = RefusedWay(10.0, 0.8, 0.6, 1.0)
+    channel.faults.way = RefusedWay(10.0, 0.8, 0.6, 1.0)
     assert with_refused(filter, channel, 10.25) == RefusedWay(10.25, 0.8, 0.6, 1.0)
     # a vehicle of 4 m/s that is stated to make 5 may have turned back; one that says nothing may make twice as much
     assert believable(np.array([8.9, np.nan, 0.0]), 4.0, 5.0) and not believable(np.array([9.1, 0.0, 0.0]), 4.0, 5.0)
@@ -101,7 +101,7 @@ def test_what_no_vehicle_can_do_does_not_count(refusing):
 def test_where_the_state_was_wrong_the_position_follows(refusing):
     filter, channel = refusing
     filter.memory.P[8, 8] = 0.02**2
-    channel.memory.way = RefusedWay(10.0, 30.0, 40.0, 60.0)
+    channel.faults.way = RefusedWay(10.0, 30.0, 40.0, 60.0)
     before = filter.memory.nav[:3].copy()
     variance = followed(filter, channel)
     moved = (filter.memory.nav[:3] - before) * [RADIUS_M, RADIUS_M * math.cos(before[0]), 1.0]
@@ -110,7 +110,7 @@ def test_where_the_state_was_wrong_the_position_follows(refusing):
     along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
     assert along @ variance @ along == pytest.approx(25.0) and across @ variance @ across == pytest.approx(26.0)
     # once; the bound goes on reckoning with it
-    assert channel.memory.way == RefusedWay(10.0, 0.0, 0.0, 60.0)
+    assert channel.faults.way == RefusedWay(10.0, 0.0, 0.0, 60.0)
     np.testing.assert_array_equal(followed(filter, channel), np.zeros((2, 2)))
 
 
@@ -207,18 +207,18 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
     for channel in channels.values():
         channel.memory.last_s = 99.9
     for name, first, size in (("gps", 0, 90.0), ("dvl", 3, 8.0)):
-        channels[name].memory.rejected_since_s = 89.0
+        channels[name].faults.rejected_since_s = 89.0
         channels[name].near[:, first : first + 3], channels[name].note[3:6] = np.eye(3), (size, 0.0, 0.0)
     assert innovation_gate.state_contradicted(channels.values(), 100.0)
     assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[[0, 3]]) == pytest.approx([100.0, 10.0])
-    channels["compass"].memory.agreed_s = 50.0  # nor is it asked of the heading then
+    channels["compass"].faults.agreed_s = 50.0  # nor is it asked of the heading then
     assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[6:]) == pytest.approx(
         innovation_gate.OPEN_ATTITUDE
     )
-    channels["gps"].memory.rejected_since_s = 92.0
+    channels["gps"].faults.rejected_since_s = 92.0
     assert not innovation_gate.state_contradicted(channels.values(), 100.0)
     # a residual of another unit says nothing, however long it lasts
-    channels["gps"].memory.rejected_since_s, channels["dvl"].note[3:6] = 89.0, (1500.0, 0.0, 0.0)
+    channels["gps"].faults.rejected_since_s, channels["dvl"].note[3:6] = 89.0, (1500.0, 0.0, 0.0)
     assert not innovation_gate.state_contradicted(channels.values(), 100.0)
     assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[3]) == pytest.approx(2.0)
 
@@ -229,9 +229,9 @@ def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
     gps = channels["gps"]
     for name in ("gps", "compass", "depth"):
         channels[name].memory.last_s = 99.9
-    gps.memory.rejected_since_s, gps.note[3:6] = 89.0, (40.0, 0.0, 0.0)
+    gps.faults.rejected_since_s, gps.note[3:6] = 89.0, (40.0, 0.0, 0.0)
     first = Refusals(True, False, (12.0, 0.0, 0.0), (40.0, 0.0, 0.0), (1.0,) * 3, (1.0,) * 3, 89.0, 99.0)
-    gps.memory.refused = first
+    gps.faults.refused = first
     assert innovation_gate.state_contradicted(channels.values(), 100.0)
     # what grows as the square of the time is twice its mean velocity
     assert np.sqrt(innovation_gate.reset_variance([gps], 100.0)[3]) == pytest.approx(2.0 + 80.0 / 11.0)
@@ -239,14 +239,14 @@ def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
     assert np.sqrt(innovation_gate.reset_variance([gps], 100.0)[6:]) == pytest.approx(
         [80.0 / (9.81 * 11.0**2)] * 2 + [1.0]
     )
-    channels["compass"].memory.agreed_s = 50.0
+    channels["compass"].faults.agreed_s = 50.0
     assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[6:])[2] == 0.0
     assert not innovation_gate.state_contradicted(channels.values(), 98.0)
     # not where a velocity is heard, or drives; nor fixes that have jumped
     assert not innovation_gate.state_contradicted(channels.values(), 100.0, inertial=False)
-    gps.memory.refused = dataclasses.replace(first, first=(38.0, 0.0, 0.0))
+    gps.faults.refused = dataclasses.replace(first, first=(38.0, 0.0, 0.0))
     assert not innovation_gate.state_contradicted(channels.values(), 100.0)
-    gps.memory.refused, channels["dvl"].memory.last_s = first, 99.9
+    gps.faults.refused, channels["dvl"].memory.last_s = first, 99.9
     assert not innovation_gate.state_contradicted(channels.values(), 100.0)
 
 
@@ -272,7 +272,7 @@ def test_restored_while_it_is_refused_it_goes_on_as_before():
     whole, half = (nf.Navigator(vehicle, mission.start) for _ in range(2))
     for nav, some in ((whole, events), (half, [e for e in events if e.time_s < FAULT_S + 3.0])):
         hand(nav, some)
-    assert half.filter.channels["dvl"].memory.way is not None
+    assert half.filter.channels["dvl"].faults.way is not None
     again = nf.Navigator.restore(vehicle, half.snapshot())
     hand(again, [e for e in events if e.time_s >= FAULT_S + 3.0])
     same_runs.assert_same_bits(whole, again)

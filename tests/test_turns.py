@@ -100,7 +100,7 @@ def test_in_stretches_as_one_by_one_and_restored(dive, monkeypatch):
     whole, half = (nf.Navigator(vehicle, mission.start) for _ in range(2))
     one_by_one(whole, events)
     one_by_one(half, [e for e in events if e.time_s <= 190.0])
-    assert half.filter.channels["compass"].memory.turns is not None
+    assert half.filter.channels["compass"].faults.turns is not None
     again = nf.Navigator.restore(vehicle, half.snapshot())
     one_by_one(again, [e for e in events if e.time_s > 190.0])
     same_runs.assert_same_bits(whole, again)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
+from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
-    from navfilter.models.sensors import Sensor
 
 __all__ = ["are_carried", "reckoned", "wander"]
 
@@ -57,7 +53,7 @@ def _lasting(P: Array, drive_output: Array) -> Array:
     return np.asarray(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C))
 
 
-def are_carried(filter: Filter, time_s: float) -> bool:
+def are_carried(filter: FilterState, time_s: float) -> bool:
     """Whether a velocity carries height and position at this time [s]."""
-    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.aside)
+    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.faults.set_aside)
     return not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S

@@ -10,18 +10,17 @@ position follows.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity
+from navfilter.filter.actions import Action, Inflate, MovePosition
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors.observable import Observable
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = [
     "SPEAKS_S",
@@ -73,13 +72,13 @@ def most_speed(speed: Array | float, stated: float | None) -> Array | float:
     return stated or np.maximum(MOST_SPEED, np.multiply(FASTER, speed))
 
 
-def out_of_reach(filter: Filter, channel: Channel, time_s: float) -> bool:
+def out_of_reach(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """Whether a refused fix is of a place to which no such vehicle has come since its start, although fixes have been
     used: another coordinate system, a sign, another unit. However long it lasts, it is not let in.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
         As its refused reading left it.
     time_s : float
@@ -90,7 +89,7 @@ def out_of_reach(filter: Filter, channel: Channel, time_s: float) -> bool:
         return False
     north, east = filter.start.way_to(*filter.memory.nav[:2].tolist())
     off = [0.0 if math.isnan(residual) else residual for residual in channel.res[:2].tolist()]
-    most = float(most_speed(channel.memory.refused_speed, filter.vehicle.drive.max_speed_m_s))
+    most = float(most_speed(channel.faults.refused_speed, filter.vehicle.drive.max_speed_m_s))
     return math.hypot(north + off[0], east + off[1]) > REACH_M + most * (time_s - filter.start.time_s)
 
 
@@ -115,24 +114,24 @@ def believable(residual: Array, speed: Array | float, stated: float | None) -> N
     return np.asarray(size <= most_speed(speed, stated) + speed)
 
 
-def since_fix(filter: Filter, channel: Channel) -> RefusedWay:
+def since_fix(filter: FilterState, channel: Channel) -> RefusedWay:
     """That of a velocity, now: nothing, once a fix has been used since."""
-    way = channel.memory.way
+    way = channel.faults.way
     fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
     return RefusedWay() if way is None or max(fixes, default=-math.inf) > way.time_s else way
 
 
-def full_residual(filter: Filter, channel: Channel) -> Array:
+def full_residual(filter: FilterState, channel: Channel) -> Array:
     """Of the last reading, shape (axes,), as if its sensor had not been found to have jumped [m/s]."""
     return np.asarray(channel.note[3 : 3 + channel.axes] + channel.jumped_by(filter.memory.x))
 
 
-def with_refused(filter: Filter, channel: Channel, time_s: float) -> RefusedWay:
+def with_refused(filter: FilterState, channel: Channel, time_s: float) -> RefusedWay:
     """That of a velocity with another refused reading.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
         As its refused reading left it.
     time_s : float
@@ -141,13 +140,13 @@ def with_refused(filter: Filter, channel: Channel, time_s: float) -> RefusedWay:
     way, speed = since_fix(filter, channel), math.hypot(*filter.memory.nav[3:6].tolist())
     residual = ground_velocity.components(channel, full_residual(filter, channel))
     # one that is refused alone is an outlier
-    dt = min(time_s - max(way.time_s, channel.memory.rejected_since_s), SPEAKS_S)
+    dt = min(time_s - max(way.time_s, channel.faults.rejected_since_s), SPEAKS_S)
     if dt > 0.0 and believable(residual, speed, filter.vehicle.drive.max_speed_m_s):
         seen = np.isfinite(residual)
         A = ground_velocity.as_velocity(channel, seen)
         further = A @ residual[seen] * dt
         size = 0.0
-        if not channel.aside:
+        if not channel.faults.set_aside:
             # once it has been found to be off, nobody need reckon with its being right, but as far as it still differs
             left = (
                 ground_velocity.components(channel, channel.note[3 : 3 + channel.axes]) if channel.offset else residual
@@ -157,25 +156,29 @@ def with_refused(filter: Filter, channel: Channel, time_s: float) -> RefusedWay:
     return replace(way, time_s=time_s)
 
 
-def followed(filter: Filter, channel: Channel) -> Array:
+def followed(filter: FilterState, channel: Channel) -> Iterator[Action]:
     """The state was wrong: let the position follow a velocity that has been refused.
 
     Parameters
     ----------
-    filter : Filter
-        Its nominal position changes.
+    filter : FilterState
     channel : Channel
         Of that velocity; its memory takes note.
-
-    Returns
-    -------
-    ndarray, shape (2, 2)
-        Variance to add to that of the position [m^2].
     """
-    nav, way = filter.memory.nav, since_fix(filter, channel)
-    nav[0] += way.north / nav[15]
-    nav[1] += way.east / (nav[16] * math.cos(nav[0]))
+    yield MovePosition(*moved(filter, channel))
+    yield Inflate(slice(2), slice(2), follows(filter, channel))
+
+
+def moved(filter: FilterState, channel: Channel) -> tuple[float, float]:
+    """How much further north and east a velocity that has been refused would have led the vehicle [m]."""
+    way = since_fix(filter, channel)
+    return way.north, way.east
+
+
+def follows(filter: FilterState, channel: Channel) -> Array:
+    """Variance of the position once it has followed that velocity, shape (2, 2) [m^2]; the memory takes note."""
+    way = since_fix(filter, channel)
     turned = np.array([-way.east, way.north]) * math.sqrt(min(filter.memory.P[8, 8], 1.0))
-    if channel.memory.way is not None:
-        channel.memory.way = replace(way, north=0.0, east=0.0)
+    if channel.faults.way is not None:
+        channel.faults.way = replace(way, north=0.0, east=0.0)
     return SHARE**2 * (way.north**2 + way.east**2) * np.eye(2) + np.outer(turned, turned)

@@ -12,38 +12,19 @@ velocity that is opened, and the fixes stay.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.protection_level import IN_PLANE
+from navfilter.faults.refusals import Refusals
+from navfilter.filter.channel_model import MOST_SDS
+from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors.observable import Observable
 
-if TYPE_CHECKING:
-    from navfilter.faults.refusals import Refusals
-    from navfilter.filter.sensor_channel import Channel
-    from navfilter.filter.state_layout import Group
-    from navfilter.models.sensors import Sensor
-
-__all__ = [
-    "believed",
-    "beside",
-    "beyond_belief",
-    "estimate",
-    "excused",
-    "is_calm",
-    "pulled",
-    "reckoned_since",
-    "reckoned_wrongly",
-]
+__all__ = ["beside", "excused", "pulled", "reckoned_since", "reckoned_wrongly"]
 
 Array = NDArray[np.float64]
-#: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
-#: and less often, for an estimate varies less than what it estimates.
-MOST_SDS = 4.0
-#: The same of a height: that of a receiver leaves its description sooner than its place does.
-MOST_SDS_UP = 6.0
 #: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
 #: fixes off in earnest is faster, or takes longer than the gate waits.
 SHARE = 0.1
@@ -52,41 +33,6 @@ USUAL_SPEED = 1.5
 #: The position was pulled off by so many times the estimate at most [1]: an error that takes less than a tenth of what
 #: fixes say, beside the position, has not come to be so large by that.
 MOST_PULLED = 10.0
-
-
-def believed(sensor: Sensor, group: Group) -> Array:
-    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, and
-    where the error model sets no limit, shape (axes,).
-    """
-    e, none = group.errors, np.full(sensor.axes, np.inf)
-    if sensor.observes is not Observable.FIX or not e:
-        return none
-    Phi, P0 = group.Phi[:e, :e], group.P0[:e, :e]
-    if not np.allclose(Phi @ P0 @ Phi.T + group.Q[:e, :e], P0, rtol=1e-6, atol=1e-12):
-        return none  # it wanders for ever
-    variance = np.diag(group.C @ P0 @ group.C.T)
-    most = np.where(np.arange(sensor.axes) < 2, MOST_SDS, MOST_SDS_UP)
-    return np.where(variance > 0.0, most**2 * variance, np.inf)
-
-
-def beyond_belief(channel: Channel, x: Array) -> bool:
-    """Whether a reading was refused because the estimate of its coloured error is no longer believed.
-
-    Parameters
-    ----------
-    channel : Channel
-    x : ndarray, shape (n - 9,)
-        Error states.
-    """
-    limits = channel.limits[channel.axes + 1 :].tolist()
-    if min(limits) == math.inf:  # of most sensors: nothing is beyond that
-        return False
-    return any(error * error > limit for error, limit in zip(estimate(channel, x).tolist(), limits, strict=True))
-
-
-def is_calm(channel: Channel, x: Array) -> bool:
-    """Whether the estimate of the coloured error is within one standard deviation."""
-    return bool(np.all(estimate(channel, x) ** 2 <= channel.limits[channel.axes + 1 :] / MOST_SDS**2))
 
 
 def reckoned_wrongly(channel: Channel, speed: float) -> float:
@@ -130,7 +76,7 @@ def beside(channel: Channel, x: Array) -> float:
     """How far the fixes of a channel may be right beside the state [m]: by the coloured error that they are thought to
     have, and its scatter.
     """
-    return math.hypot(*estimate(channel, x)[:2].tolist()) + IN_PLANE * math.sqrt(max(channel.slow))
+    return math.hypot(*channel.coloured_error(x)[:2].tolist()) + IN_PLANE * math.sqrt(max(channel.slow))
 
 
 def excused(channel: Channel) -> bool:
@@ -141,14 +87,8 @@ def excused(channel: Channel) -> bool:
     channel : Channel
         As the refused reading left it.
     """
-    astray_m = channel.memory.astray_m  # NaN where they are not
+    astray_m = channel.faults.astray_m  # NaN where they are not
     return astray_m >= 0.0 and math.hypot(*np.nan_to_num(channel.res).tolist()) <= SHARE * astray_m
-
-
-def estimate(channel: Channel, x: Array) -> Array:
-    """The coloured error that the readings are thought to have, shape (axes,)."""
-    first = channel.group.start - 9
-    return np.asarray(channel.C @ x[first : first + channel.group.errors])
 
 
 def pulled(channel: Channel, x: Array) -> Array:
@@ -161,4 +101,4 @@ def pulled(channel: Channel, x: Array) -> Array:
     own = np.einsum("ij,ij->i", channel.C, channel.PH[:, states])
     position = np.abs(np.diag(channel.PH[:, :3]))
     ratio = position / np.maximum(np.maximum(own, position / MOST_PULLED), 1e-300)
-    return np.asarray(np.abs(estimate(channel, x)) * ratio)
+    return np.asarray(np.abs(channel.coloured_error(x)) * ratio)

@@ -9,24 +9,22 @@ gets a constant of that angle, and the position is opened to the next fix.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.heading_fault import Course, direction, of_one_way, rather_drawn, seen_turned
+from navfilter.filter.actions import Action, Adopt, Count, Inflate, MoveError, Transform
+from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
+from navfilter.filter.monitor import Actions, FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import strapdown
+from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset, offset_states, with_offsets
 from navfilter.models.sensors.velocity import FLOWS_M_S
-
-if TYPE_CHECKING:
-    from navfilter.filter.events import Listening
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.sensor_channel import Channel
-    from navfilter.models.error_models import ErrorModel
 
 __all__ = ["Reckoned", "contradicted", "opened_velocity", "take_up"]
 
@@ -64,20 +62,20 @@ class Reckoned:
     last_s: float
 
 
-def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None:
+def contradicted(filter: FilterState, fixes: Channel, time_s: float) -> Actions:
     """What is to be done about the drive's compass when fixes have refused a reading: another error model of it, with
     a turn; None while nothing is to be done.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
         Its memory of these fixes goes on.
     fixes : Channel
         As the refused reading left it.
     time_s : float
         Of the reading [s].
     """
-    memory, kept = filter.memory, fixes.memory
+    memory, kept = filter.memory, fixes.faults
     if filter.inertial or not np.isfinite(fixes.res[:2]).all():
         return None
     nav, since_s = memory.nav, memory.time_s - memory.sample_s
@@ -104,9 +102,9 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
             kept.reckoned = _from_here(latitude, longitude, way, time_s)
         return None
     turn, kept.reckoned = (turn[0], turn[1] + flows + across), None
-    memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
-    memory.counts["reset"] += 1
-    memory.counts["jumped"] += 1
+    yield Inflate(range(3), range(3), np.nan_to_num(fixes.res[:3]) ** 2)
+    yield Count("reset")
+    yield Count("jumped")
     return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
 
 
@@ -132,11 +130,11 @@ def _begin(before: Reckoned) -> tuple[float, float, float, float]:
     return before.latitude, before.longitude, before.north, before.east
 
 
-def _attitude(filter: Filter) -> tuple[ErrorModel, ...]:
+def _attitude(filter: FilterState) -> tuple[ErrorModel, ...]:
     return filter.in_force.drive.models[:3]
 
 
-def _with_constant(filter: Filter, sd: float) -> ErrorModel | tuple[ErrorModel, ...]:
+def _with_constant(filter: FilterState, sd: float) -> ErrorModel | tuple[ErrorModel, ...]:
     """Error models of the attitude, the heading's with a constant of this sd beside it, unless it has one."""
     drive = filter.in_force.drive
     if drive.compass is not None:
@@ -146,13 +144,13 @@ def _with_constant(filter: Filter, sd: float) -> ErrorModel | tuple[ErrorModel, 
     return models if has_offset(models[YAW]) else (*models[:YAW], with_offsets(models[YAW:], sd)[0])
 
 
-def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
+def opened_velocity(filter: FilterState, size: float, speed: float) -> Change | None:
     """Another error model of the velocity that dead reckoning goes by, with a constant of this sd beside it [m/s]; None
     where there is none to be opened, or it has one.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     size, speed : float
         0: nothing is to be opened [m/s]; speed of the vehicle [m/s].
     """
@@ -169,30 +167,28 @@ def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
     return None
 
 
-def take_up(filter: Filter, change: Change, tell: Listening) -> None:
+def take_up(filter: FilterState, change: Change) -> Iterator[Action]:
     """Put another error model of what drives in force. A turn: what its compass reads is turned by an angle of this
     variance, beside its constant.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
         Nothing waits to be folded in.
     change : Change
         By `contradicted` or `opened_velocity`.
-    tell : callable
-        Is told of the new states.
     """
     if change.turn is None:
-        filter.adopt(change, tell)
+        yield Adopt(change)
         return
     angle, variance = change.turn
     had = has_offset(_attitude(filter)[YAW])
     if not had:
-        filter.adopt(change, tell)
+        yield Adopt(change)
     memory, models, size = filter.memory, _attitude(filter), filter.layout.size
     first = sum(model.block(filter.period_s).size for model in models[:YAW])
     place = first + int(offset_states(models[YAW:], filter.period_s)[0])
-    memory.x[place] -= angle
+    yield MoveError(place, -angle)
     N = np.zeros((size, size))
     N[9 + place, 9 + place] = variance if had else 0.0
-    filter.put(memory.nav[3:6].copy(), memory.nav[6:15].reshape(3, 3).copy(), np.eye(size), N, tell)
+    yield Transform(memory.nav[3:6].copy(), memory.nav[6:15].reshape(3, 3).copy(), np.eye(size), N)

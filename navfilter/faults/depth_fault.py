@@ -14,20 +14,19 @@ so. Fixes tell the two apart, where they are precise enough at once, else while 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 
 from navfilter.faults.allowed_change import are_carried
 from navfilter.faults.protection_level import CONFIRMED_S
 from navfilter.faults.sensor_bias import SPAN_S, offset_places
+from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.models.fault_bias import offset_states, with_offsets
 from navfilter.models.sensors.observable import Observable
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["are_told", "open_both", "undecided"]
 
@@ -40,14 +39,14 @@ CARRIED_M_S = 0.1
 GROWN = 2.0
 
 
-def are_told(filter: Filter, gauge: Channel, time_s: float) -> bool:
+def are_told(filter: FilterState, gauge: Channel, time_s: float) -> bool:
     """Whether more than accelerometers says how the height changes at this time [s]: a velocity, or fixes or another
     gauge that go on to be used.
     """
     return are_carried(filter, time_s) or bool(_others(filter, gauge, time_s))
 
 
-def _others(filter: Filter, gauge: Channel, time_s: float) -> list[Channel]:
+def _others(filter: FilterState, gauge: Channel, time_s: float) -> list[Channel]:
     """Fixes and other gauges that go on to tell the height; it is the last component of each."""
     return [
         other
@@ -59,7 +58,7 @@ def _others(filter: Filter, gauge: Channel, time_s: float) -> list[Channel]:
     ]
 
 
-def may_be_right(filter: Filter, gauge: Channel, time_s: float) -> bool:
+def may_be_right(filter: FilterState, gauge: Channel, time_s: float) -> bool:
     """Whether a gauge that has left the state at once may have come back to the truth, from where it had led the state
     astray: all that tell the height beside it fit where it is now, too.
     """
@@ -73,12 +72,12 @@ def may_be_right(filter: Filter, gauge: Channel, time_s: float) -> bool:
     return bool(others) and known and max(squares) <= float(gauge.limits[1])
 
 
-def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
+def undecided(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """Whether a sensor that is refused is a depth gauge that was right for long, and something else tells the height.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
         As its refused reading left it.
     time_s : float
@@ -88,39 +87,38 @@ def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
         return False
     if not filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2:
         return False
-    if channel.memory.either:
+    if channel.faults.either:
         return True
     states = offset_states(channel.sensor.models, channel.period_s)
     if len(states):
         whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
         if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
-    return channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S and are_told(filter, channel, time_s)
+    return channel.memory.used_s - channel.faults.agreed_s >= CONFIRMED_S and are_told(filter, channel, time_s)
 
 
-def open_both(filter: Filter, channel: Channel, time_s: float) -> None:
+def open_both(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
     """Open the height, and give the gauge a constant, or open the one that it has, by all that lies between them.
 
     Parameters
     ----------
-    filter : Filter
-        Its covariance changes; an error model is adopted before the next input.
+    filter : FilterState
     channel : Channel
         Of the gauge, as its refused reading left it; its memory takes note.
     time_s : float
         Of the reading [s].
     """
-    memory, kept = filter.memory, channel.memory
+    memory, kept = filter.memory, channel.faults
     P, places = memory.P, offset_places(channel)
     new = float(channel.res[0])
     whole = new + float(channel.jumped_by(memory.x)[0])
     # at least by what has come since they were opened last; beyond that only as far as they are not open any more
-    P[DOWN, DOWN] += max(new**2, whole**2 - P[DOWN, DOWN])
+    yield Inflate(DOWN, DOWN, max(new**2, whole**2 - P[DOWN, DOWN]))
     if len(places):
-        P[places, places] += np.maximum(new**2, whole**2 - P[places, places])
+        yield Inflate(places, places, np.maximum(new**2, whole**2 - P[places, places]))
     else:
         models = with_offsets(channel.sensor.models, abs(new), only=channel.sensor.jumps)
-        filter.jumped.append(Change(channel.name, models, offsets=True))
+        filter.monitor.changes.append(Change(channel.name, models, offsets=True))
     kept.either, kept.refused = True, None
     kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
-    memory.counts["jumped"] += 1
+    yield Count("jumped")

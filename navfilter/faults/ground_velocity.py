@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["AXES", "as_velocity", "components", "residual", "variances"]
 

@@ -10,24 +10,19 @@ the heading: a compass that is the only one to have said it is outvoted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.actions import Action, Transform, TurnHeading
 from navfilter.filter.model_change import Change
-from navfilter.filter.python_update import update
-from navfilter.kernels import kalman, measurement
-from navfilter.models.fault_bias import offset_states, with_offsets
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
+from navfilter.models.fault_bias import with_offsets
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import rotation_matrix
-
-if TYPE_CHECKING:
-    from navfilter.filter.events import Listening
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = [
     "Course",
@@ -120,12 +115,12 @@ class Course:
         return math.atan2(across, size + along), size, ratio, fixes + size - 2.0 * common, drawn
 
 
-def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: float) -> Change | None:
+def against_the_compass(filter: FilterState, fixes: Channel, course: Course, time_s: float) -> Change | None:
     """What is to be done about the compass, where refused fixes and a velocity sensor contradict it; else None.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
         Is only read.
     fixes : Channel
         The channel that refuses them.
@@ -147,7 +142,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     if compass.sensor.observes.north is None:
         return None
     told = math.radians(filter.start.heading_sd_deg)
-    believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
+    believed = lambda angle, speed: not compass.faults.alone and abs(angle) > SURE * told  # noqa: E731
     turn = seen_turned(course, fixes, direction(filter), believed)
     if turn is None:
         return None
@@ -223,7 +218,7 @@ def _reckons(channel: Channel) -> bool:
     return sensor.observes.corrects == "velocity" and (sensor.ground > 0 or sensor.observes is Observable.VELOCITY_BODY)
 
 
-def direction(filter: Filter) -> float:
+def direction(filter: FilterState) -> float:
     """Variance of the direction that the vehicle is believed to go in [rad^2]: that of its heading, and of the velocity
     across its way where the heading is right, as in a current that is hardly known.
     """
@@ -251,14 +246,17 @@ def told_here(fixes: Channel, nav: Array, variance: float) -> tuple[float, ...]:
     return (variance, _noise(fixes), *place)
 
 
-def used(filter: Filter, channel: Channel, time_s: float) -> None:
+def used(filter: FilterState, channel: Channel, time_s: float) -> None:
     """Note that a reading of this time has been used."""
+    kept, partly_since_s = channel.faults, channel.faults.partly_since_s
     channel.use(time_s)
-    if channel.memory.alone and _confirmed(filter, channel):
-        channel.memory.alone = ()
+    if channel.partly_for_s < math.inf and channel.verdict[1] < np.isfinite(channel.note[3 : 3 + channel.axes]).sum():
+        kept.partly_since_s = time_s if math.isnan(partly_since_s) else partly_since_s
+    if channel.faults.alone and _confirmed(filter, channel):
+        channel.faults.alone = ()
 
 
-def _confirmed(filter: Filter, compass: Channel) -> bool:
+def _confirmed(filter: FilterState, compass: Channel) -> bool:
     """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
     used, twice as far from there as they need to contradict it. Without a velocity over ground in b they say nothing of
     the heading.
@@ -268,8 +266,8 @@ def _confirmed(filter: Filter, compass: Channel) -> bool:
     if filter.inertial and not any(_reckons(c) for c in recent):
         return False
     for fixes in filter.channels.values():
-        kept = fixes.memory
-        calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
+        kept = fixes.faults
+        calm = kept.refused is None and not kept.astray and now_s - fixes.memory.used_s < RECENT_S
         if fixes.sensor.observes.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
             sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
             if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
@@ -287,9 +285,9 @@ def led_astray(compass: Channel, nav: Array) -> float:
     nav : ndarray, shape (17,)
         Nominal state.
     """
-    if not compass.memory.alone:
+    if not compass.faults.alone:
         return 0.0
-    angle, latitude, longitude = compass.memory.alone
+    angle, latitude, longitude = compass.faults.alone
     north = (nav[0] - latitude) * nav[15]
     east = (nav[1] - longitude) * nav[16] * math.cos(latitude)
     return math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
@@ -311,69 +309,38 @@ def told_by_fixes(compass: Channel, nav: Array, latitude: float, longitude: floa
     latitude, longitude : float
         Where a fix was used last [rad].
     """
-    if len(compass.memory.course) != 4 or not compass.offset:
+    if len(compass.faults.course) != 4 or not compass.offset:
         return 0.0
-    variance, noise, *there = compass.memory.course
+    variance, noise, *there = compass.faults.course
     north, east = (latitude - there[0]) * float(nav[15]), (longitude - there[1]) * float(nav[16]) * math.cos(latitude)
     return 1.0 / (1.0 / variance + (north**2 + east**2) / (2.0 * noise))
 
 
-def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> None:
-    """Turn the heading by an angle of this variance, as by a reading of the compass.
-
-    Attitude and velocity are turned with all that is known of them; then both are opened by the angle together, and
-    take the reading. A constant of the compass, if it has one, takes the rest.
+def turned(filter: FilterState, compass: Channel, angle: float, variance: float) -> Iterator[Action]:
+    """Turn the heading by an angle of this variance, as by a reading of the compass; its memory takes note.
 
     Parameters
     ----------
-    filter : Filter
-        Its memory is changed; nothing waits to be folded in.
+    filter : FilterState
+        Nothing waits to be folded in.
     compass : Channel
     angle, variance : float
         [rad], [rad^2]
     """
-    memory, kept, tape = filter.memory, compass.memory, filter.tape
-    P, nav, x, a, north = memory.P, memory.nav, memory.x, compass.axes, compass.sensor.observes.north
-    R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
-    nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
-    for at in (3, 6):
-        M[at : at + 2, at : at + 2] = R
-    P[:] = M @ P @ M.T
-    if tape is not None:
-        tape.change(M)
-    places = compass.group.start + offset_states(compass.sensor.models, compass.period_s, north)
-    P[places, places] = np.maximum(np.diag(P)[places], angle**2)
-    # a velocity that is known in b goes with the heading
-    along = np.zeros(len(P))
-    along[[3, 4, 8]] = -nav[4], nav[3], 1.0
-    P += angle**2 * np.outer(along, along)
-    P[:] = 0.5 * (P + P.T)
-    compass.transition[:] = memory.acc[: len(compass.transition)]
-    kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
-    reading = np.full(a + 1, math.nan)  # only its slopes are asked for
-    if compass.kernel is measurement.magnetometer:  # they are those of the field that it feels: level, of unknown dip
-        field = math.cos(compass.constants[0]), math.sin(compass.constants[0]), 0.0
-        reading = np.append(nav[6:15].reshape(3, 3).T @ field, math.nan)
-    compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
-    compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
-    nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
-    update(memory, compass, nothing, variance * np.eye(a), open_gate, filter.drive_output)
-    memory.unfolded = 0
+    yield TurnHeading(compass, angle, variance)
+    kept = compass.faults
     kept.agreed_s, kept.refused, kept.rejected_since_s = math.nan, None, math.nan
     if compass.offset:
         kept.alone = ()  # it no longer says which way north is
-    if tape is not None:
-        tape.record(compass.record, a, compass.dims)
-        tape.row(memory.time_s, nav, x, P)
 
 
-def turned_by_fixes(filter: Filter, angle: float, variance: float, tell: Listening) -> None:
+def turned_by_fixes(filter: FilterState, angle: float, variance: float) -> Iterator[Action]:
     """Turn the heading, and the velocity with it, by an angle of this variance that fixes alone have told, where no
-    compass does; `tell` is told of the new states.
+    compass does.
     """
     nav, n = filter.memory.nav, len(filter.memory.P)
     R, M, along = rotation_matrix(np.array([0.0, 0.0, angle])), np.eye(n), np.zeros(n)
     velocity = R @ nav[3:6]
     M[3:6, 3:6] = M[6:9, 6:9] = R
     along[[3, 4, 8]] = -velocity[1], velocity[0], 1.0
-    filter.put(velocity, R @ nav[6:15].reshape(3, 3), M, variance * np.outer(along, along), tell)
+    yield Transform(velocity, R @ nav[6:15].reshape(3, 3), M, variance * np.outer(along, along))

@@ -63,8 +63,8 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
     present: set[str] = set() if inertial else {"velocity"}
     alone = False
     for other in channels:
-        memory, sensor = other.memory, other.sensor
-        heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
+        memory, sensor = other.faults, other.sensor
+        heard = time_s - other.memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
         if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
             motion |= (
@@ -72,7 +72,7 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
             )
             alone |= _goes_away(other)
         present |= {sensor.observes.corrects} if heard else set()
-        if heard and not other.aside and refused_s > 0.5 * sensor.gate_timeout_s:
+        if heard and not other.faults.set_aside and refused_s > 0.5 * sensor.gate_timeout_s:
             against.append(sensor.observes.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
             for_it.append(sensor.observes.corrects)
@@ -87,8 +87,8 @@ def _place_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     """
     refused = []
     for channel in channels:
-        memory, sensor = channel.memory, channel.sensor
-        heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * channel.period_s)
+        memory, sensor = channel.faults, channel.sensor
+        heard = time_s - channel.memory.last_s < max(HEARD_S, HEARD_PERIODS * channel.period_s)
         if heard and sensor.observes.corrects in PLACE:
             refused.append(time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s and _off(channel) > 0.0)
     return len(refused) > 1 and all(refused)
@@ -108,9 +108,9 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
         Now [s].
     """
     largest, opened = np.zeros(6), np.zeros(3)
-    agree = {channel.sensor.observes.corrects for channel in channels if channel.memory.agrees}
+    agree = {channel.sensor.observes.corrects for channel in channels if channel.faults.agrees}
     for channel in channels:
-        since_s = channel.memory.rejected_since_s
+        since_s = channel.faults.rejected_since_s
         if not math.isnan(since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
             largest = np.maximum(largest, np.where(seen, _off(channel), 0.0))
@@ -131,7 +131,7 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
 
 def _goes_away(channel: Channel) -> bool:
     """Whether the state goes further and further away from fixes that are refused."""
-    refused = channel.memory.refused
+    refused = channel.faults.refused
     if channel.dive_s == math.inf or refused is None:
         return False
     return _off(channel) > GROWN * float(np.nanmax(np.abs(refused.first), initial=0.0))
@@ -184,8 +184,8 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     make it believe in any attitude.
     """
     limit = channel.limits[dof]
-    patience_s = channel.sensor.gate_timeout_s * (PATIENT if channel.memory.astray else 1.0)
-    periods = math.floor((time_s - channel.memory.rejected_since_s) / patience_s)
+    patience_s = channel.sensor.gate_timeout_s * (PATIENT if channel.faults.astray else 1.0)
+    periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
     if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
         return None
     a, H = channel.axes, channel.H

@@ -10,17 +10,14 @@ does not turn, while the biases of the gyros take what it does.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navfilter.faults.sensor_bias import SPAN_S
 from navfilter.filter.model_change import Change
+from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.fault_bias import with_offsets
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
 
 __all__ = ["used"]
 
@@ -28,21 +25,21 @@ __all__ = ["used"]
 SLOPE, SURE = 0.5, 3.0
 
 
-def used(filter: Filter, channel: Channel, time_s: float) -> None:
+def used(filter: FilterState, channel: Channel, time_s: float) -> None:
     """After a reading of this time has been used: take the constants of a compass that does not follow the vehicle's
     turns away. Nothing that it reads is used then until it agrees without them.
     """
-    kept = channel.memory
+    kept = channel.faults
     if not channel.offset or channel.sensor.observes.north is None or time_s - kept.jumped_s < SPAN_S:
         return
     slope, sd = _slope(filter, channel)
     if abs(slope) - SURE * sd > SLOPE:
-        filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+        filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
         # what it has read since it jumped was no heading
         kept.refused, kept.rejected_since_s, kept.disputed_s = None, kept.jumped_s, time_s
 
 
-def _slope(filter: Filter, compass: Channel) -> tuple[float, float]:
+def _slope(filter: FilterState, compass: Channel) -> tuple[float, float]:
     """By how much what it is off by changes with the heading, and the standard deviation of that [1]; zeros where it
     has no deviation.
     """

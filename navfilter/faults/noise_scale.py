@@ -16,18 +16,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.allowed_change import wander
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import noise_scale as kernels
 from navfilter.models.sensors.observable import Observable
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["Scatter", "facts", "heard", "noted", "variances"]
 
@@ -77,7 +74,7 @@ class Scatter:
 
 def noted(channel: Channel) -> Array:
     """What is noted of a channel, to be written to."""
-    kept = channel.memory.scatter
+    kept = channel.faults.scatter
     if kept is not None:
         return kept.noted.copy()
     fresh = np.zeros(kernels.size(channel.axes))
@@ -85,7 +82,7 @@ def noted(channel: Channel) -> Array:
     return fresh
 
 
-def facts(filter: Filter, channel: Channel) -> Array:
+def facts(filter: FilterState, channel: Channel) -> Array:
     """What the kernel has to know of a channel."""
     if channel.facts is not None and not channel.offset:  # where it has jumped, errors go with the speed
         return channel.facts
@@ -107,12 +104,12 @@ def variances(kept: Scatter, plain: Array) -> Array:
     return plain if kept.worthless else np.asarray(plain + kept.excess)
 
 
-def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> float:
+def heard(filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> float:
     """Take a reading, and return its NIS by the description of its sensor.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
         As its kernel left it; its memory takes note.
     time_s : float
@@ -120,13 +117,13 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
     frozen : bool
         The value has not changed for suspiciously long.
     """
-    kept, (nis, dof, used) = channel.memory.scatter, channel.verdict.tolist()
+    kept, (nis, dof, used) = channel.faults.scatter, channel.verdict.tolist()
     if (used and (kept is None or not kept.watched)) or not (dof and math.isfinite(nis)):
         return nis  # a stretch does not tell these
     memory, note, at = filter.memory, noted(channel), channel.places
     north = -1 if channel.sensor.observes.north is None else channel.sensor.observes.north
-    ignored = frozen or channel.aside or filter.watch.busy(memory.watch)
+    ignored = frozen or channel.faults.set_aside or filter.monitor.imu_monitor.busy(memory.monitor.imu)
     of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
     nis = kernels.heard(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
-    channel.memory.scatter = Scatter.of(note)
+    channel.faults.scatter = Scatter.of(note)
     return float(nis)

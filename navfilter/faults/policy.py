@@ -1,11 +1,14 @@
-"""A reading that its gate has refused: what of the filter's memory changes because of it, and those before it."""
+"""What follows from a reading that its gate has refused, or let in: the rules, and the order in which they are asked.
+
+Each rule yields what the filter is to do (`navfilter.filter.actions`), and goes on when that has been done.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,30 +23,20 @@ from navfilter.faults import (
     sensor_bias,
     velocity_fault,
 )
-from navfilter.faults.bias_plausibility import (
-    beyond_belief,
-    estimate,
-    excused,
-    pulled,
-    reckoned_since,
-    reckoned_wrongly,
-)
+from navfilter.faults.bias_plausibility import excused, pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import Course, against_the_compass, told_here, turned, turned_by_fixes
 from navfilter.faults.imu import acceleration, bias_drift, gyro_scale, realignment
 from navfilter.faults.protection_level import FOLLOWED_S, IN_LINE
 from navfilter.faults.refusals import LEAST, Refusals
-from navfilter.filter.events import Event
+from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
 from navfilter.filter.model_change import Change
-from navfilter.filter.python_update import update
+from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.models.fault_bias import with_offsets
 from navfilter.models.sensors.observable import Observable
 
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-
-__all__ = ["let_in", "take_up", "used"]
+__all__ = ["REJECTED", "pending", "rejected", "used"]
 
 Array = NDArray[np.float64]
 #: Below this speed a velocity that is off says nothing of its scale [m/s].
@@ -52,14 +45,14 @@ SLOW = 0.1
 AGAIN_S = 120.0
 
 
-def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
-    """After a rejection: whether the reading is let in after all, because refused readings agree against the state, or
-    have been refused for so long that the gate widens; where all sensors contradict the state, it is given up.
+def rejected(filter: FilterState, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> Actions:
+    """After a rejection: whether the reading is let in after all.
+
+    The rules of `REJECTED` are asked in their order; the first that answers decides.
 
     Parameters
     ----------
-    filter : Filter
-        Its memory is changed.
+    filter : FilterState
     channel : Channel
         As the rejected update left it.
     time_s, nis : float
@@ -68,78 +61,171 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         Components used in it.
     frozen : bool
         The value has not changed for suspiciously long: it proves nothing.
+
+    Returns
+    -------
+    bool
     """
-    memory, kept, P = filter.memory, channel.memory, filter.memory.P
+    kept = channel.faults
     if math.isnan(kept.rejected_since_s):
-        kept.rejected_since_s, kept.refused_speed = time_s, math.hypot(*memory.nav[3:6].tolist())
-    if frozen or (kept.scatter is not None and kept.scatter.worthless):
+        kept.rejected_since_s, kept.refused_speed = time_s, math.hypot(*filter.memory.nav[3:6].tolist())
+    reading = Rejected(time_s, nis, dof, frozen)
+    for rule in REJECTED:
+        answer = yield from rule(filter, channel, reading)
+        if answer is not None:
+            return answer
+    return False
+
+
+class Rejected(NamedTuple):
+    """A reading that its gate has refused; see `rejected`."""
+
+    time_s: float
+    nis: float
+    dof: int
+    frozen: bool
+
+
+def _frozen_or_worthless(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A value that does not change, or a sensor that says nothing: no reading is evidence."""
+    yield from ()
+    kept = channel.faults
+    if reading.frozen or (kept.scatter is not None and kept.scatter.worthless):
         kept.refused = None
         return False
-    if alternative_path.out_of_reach(filter, channel, time_s):
-        return False
+    return None
+
+
+def _fix_out_of_reach(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A fix of a place to which no such vehicle has come."""
+    yield from ()
+    return False if alternative_path.out_of_reach(filter, channel, reading.time_s) else None
+
+
+def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A velocity that is refused: the way that it would have made is kept. Decides nothing."""
+    yield from ()
     if channel.sensor.ground:
-        kept.way = alternative_path.with_refused(filter, channel, time_s)
+        channel.faults.way = alternative_path.with_refused(filter, channel, reading.time_s)
+
+
+def _gyro_scale(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A compass that contradicts a gyro's scale or sign: the gyro is left out. Decides nothing of the reading."""
     if channel.sensor.observes.north is not None:
-        gyro_scale.refused(filter, channel, time_s, innovation_gate.whole_heading(channel, memory.x))
-    if channel.moves:
-        filter.accused = acceleration.accused(filter, channel, time_s)
-        if filter.accused is not None:
-            if channel.offset:
-                kept.aside = None
-                filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
-            return False
-    if channel.moves and not channel.aside:
-        filter.tilted = realignment.tilted(filter, channel, time_s)
-        if filter.tilted:
-            return False
-    if channel.sensor.observes is Observable.FIX:
-        change = dead_reckoning_compass.contradicted(filter, channel, time_s)
-        if change is not None:
-            filter.jumped += [Change(channel.name, channel.sensor.models, afresh=True), change]
-            return False
-    if beyond_belief(channel, memory.x):
-        _gone_astray(filter, channel)
-        return False
-    kept.astray_m += math.hypot(*memory.nav[3:6].tolist()) * channel.period_s
-    if excused(channel):
-        P[range(3), range(3)] += np.nan_to_num(channel.res[:3]) ** 2
-        _update(filter, channel, time_s)
-        return True
-    if sensor_bias.judges(channel) and _agreed(filter, channel, time_s):
-        return True
-    if innovation_gate.state_contradicted(filter.channels.values(), time_s, filter.inertial):
-        P[range(9), range(9)] += innovation_gate.reset_variance(filter.channels.values(), time_s)
-        drive = filter.layout.drive
-        P[drive.slice, drive.slice] += drive.P0
-        for other in filter.channels.values():
-            if not math.isnan(other.memory.rejected_since_s):
-                _follows(other, time_s)
-            other.memory.rejected_since_s, other.memory.agreed_s, other.memory.refused = math.nan, math.nan, None
-        memory.counts["opened"] += 1
-        return False
+        whole = innovation_gate.whole_heading(channel, filter.memory.x)
+        yield from gyro_scale.refused(filter, channel, reading.time_s, whole)
+
+
+def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A velocity that the unit leaves behind on a ramp: the unit is wrong."""
+    yield from ()
+    if not channel.moves:
+        return None
+    monitor = filter.monitor
+    monitor.slope = acceleration.accused(filter, channel, reading.time_s)
+    if monitor.slope is None:
+        return None
     if channel.offset:
-        if not channel.aside and time_s - kept.rejected_since_s >= channel.sensor.gate_timeout_s:
-            _jumped(filter, channel, time_s)
+        channel.faults.aside = None
+        monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+    return False
+
+
+def _tilt(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A velocity that is refused because the attitude is wrong: it is set anew."""
+    yield from ()
+    if not channel.moves or channel.faults.set_aside:
+        return None
+    filter.monitor.is_tilted = realignment.tilted(filter, channel, reading.time_s)
+    return False if filter.monitor.is_tilted else None
+
+
+def _dead_reckoning_compass(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """Fixes against dead reckoning without a unit: its compass is turned."""
+    if channel.sensor.observes is not Observable.FIX:
+        return None
+    change = yield from dead_reckoning_compass.contradicted(filter, channel, reading.time_s)
+    if change is None:
+        return None
+    filter.monitor.changes += [Change(channel.name, channel.sensor.models, afresh=True), change]
+    return False
+
+
+def _implausible_bias(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A coloured error that its model does not allow: it begins afresh."""
+    if channel.beyond_belief(filter.memory.x):
+        yield from _gone_astray(filter, channel)
         return False
-    added = None if sensor_bias.disproved(channel, time_s) else innovation_gate.widening(P, channel, time_s, nis, dof)
-    if added is None:
-        return False
-    if depth_fault.undecided(filter, channel, time_s):
-        depth_fault.open_both(filter, channel, time_s)
-        return False
-    channel.R *= added.white_factor
-    P[added.places, added.places] += added.covariance
-    _follows(channel, time_s)
-    P[:2, :2] += alternative_path.followed(filter, channel)
-    _update(filter, channel, time_s)
+    channel.faults.astray_m += math.hypot(*filter.memory.nav[3:6].tolist()) * channel.period_s
+    return None
+
+
+def _within_dead_reckoning(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """Fixes that are off by no more than dead reckoning may err since they went astray."""
+    if not excused(channel):
+        return None
+    yield Inflate(range(3), range(3), np.nan_to_num(channel.res[:3]) ** 2)
+    yield from _readmit(filter, channel, reading.time_s)
     return True
 
 
-def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
+def _sensor_or_state_bias(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """Refused readings that agree: the state is opened to them, or the sensor gets a constant."""
+    if sensor_bias.judges(channel) and (yield from _agreed(filter, channel, reading.time_s)):
+        return True
+    return None
+
+
+def _state_contradicted(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """All sensors contradict the state: it is given up."""
+    channels, time_s = filter.channels.values(), reading.time_s
+    if not innovation_gate.state_contradicted(channels, time_s, filter.inertial):
+        return None
+    yield Inflate(range(9), range(9), innovation_gate.reset_variance(channels, time_s))
+    drive = filter.layout.drive
+    yield Inflate(drive.slice, drive.slice, drive.P0)
+    for other in channels:
+        kept = other.faults
+        if not math.isnan(kept.rejected_since_s):
+            _follows(other, time_s)
+        kept.rejected_since_s, kept.agreed_s, kept.refused = math.nan, math.nan, None
+    yield Count("opened")
+    return False
+
+
+def _reopen_known_fault(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A sensor that has a constant already: after its time-out it is opened again."""
+    if not channel.offset:
+        return None
+    overdue = reading.time_s - channel.faults.rejected_since_s >= channel.sensor.gate_timeout_s
+    if not channel.faults.set_aside and overdue:
+        yield from _jumped(filter, channel, reading.time_s)
+    return False
+
+
+def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A gate that has refused for its time-out doubles, and again; where it may be depth or height, both are opened."""
+    P, time_s = filter.memory.P, reading.time_s
+    disproved = sensor_bias.disproved(channel, time_s)
+    added = None if disproved else innovation_gate.widening(P, channel, time_s, reading.nis, reading.dof)
+    if added is None:
+        return False
+    if depth_fault.undecided(filter, channel, time_s):
+        yield from depth_fault.open_both(filter, channel, time_s)
+        return False
+    channel.R *= added.white_factor
+    yield Inflate(added.places, added.places, added.covariance)
+    _follows(channel, time_s)
+    yield from alternative_path.followed(filter, channel)
+    yield from _readmit(filter, channel, time_s)
+    return True
+
+
+def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
     """What refused readings say together: True when the state was opened to them, and this one let in. A sensor that
     has jumped gets constants by its next reading (`Filter.jumped`).
     """
-    memory, kept = filter.memory, channel.memory
+    memory, kept = filter.memory, channel.faults
     speed = math.sqrt(float(memory.nav[3:6].dot(memory.nav[3:6])))
     drive = filter.drive_output, filter.vehicle.drive.period_s
     course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
@@ -147,25 +233,25 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     kept.refused_s = time_s
     if channel.sensor.observes is Observable.FIX:
         kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
-        if _heading_outvoted(filter, channel, refused, time_s):
+        if (yield from _heading_outvoted(filter, channel, refused, time_s)):
             return False
     if channel.offset:
         back = back + 1 if _is_back(filter, channel) else 0
         kept.refused = refused = replace(refused, back=back)
-        if channel.aside and back < LEAST:
+        if channel.faults.set_aside and back < LEAST:
             return False
     carried = depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
     if wrong == "sensor" or refused.back >= LEAST:
-        _jumped(filter, channel, time_s)
+        yield from _jumped(filter, channel, time_s)
         return False
     if wrong != "state" or channel.offset:
         return False
     moved_m = float(np.linalg.norm(filter.start.way_to(*memory.nav[:2].tolist())))
     for other in filter.channels.values():
         if sensor_bias.alike(other, channel):
-            other.memory.agreed_s = math.nan
-    memory.counts["reset"] += 1
+            other.faults.agreed_s = math.nan
+    yield Count("reset")
     told = math.sqrt(float(memory.P[8, 8]))
     held = any(
         other.sensor.observes.corrects == "depth"
@@ -173,30 +259,30 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         and time_s - other.memory.used_s < sensor_bias.SPAN_S
         for other in filter.channels.values()
     )
-    memory.P[:9, :9] += sensor_bias.opened_state(channel, refused, moved_m, held, carried)
+    yield Inflate(slice(9), slice(9), sensor_bias.opened_state(channel, refused, moved_m, held, carried))
     if sensor_bias.is_gauge(channel) and not carried:
         unit = filter.layout.drive
         own = np.concatenate(unit.biases[3:])
-        memory.P[unit.start + own, unit.start + own] += unit.P0[own, own]
+        yield Inflate(unit.start + own, unit.start + own, unit.P0[own, own])
     north = channel.sensor.observes.north
     if north is not None:
         angle, variance = refused.offset[north], refused.variance[north] + channel.slow[north]
         most = abs(angle) + IN_LINE * told
         kept.alone = (most, float(memory.nav[0]), float(memory.nav[1]))
-        filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
+        filter.monitor.changes.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
         return False
-    memory.P[:2, :2] += alternative_path.followed(filter, channel)
+    yield from alternative_path.followed(filter, channel)
     _follows(channel, time_s)
     velocity = dead_reckoning_compass.opened_velocity(filter, reckoned_since(channel, refused, speed), speed)
-    filter.jumped += [] if velocity is None else [velocity]
-    memory.counts["jumped"] += velocity is not None
-    _update(filter, channel, time_s)
+    filter.monitor.changes += [] if velocity is None else [velocity]
+    yield Count("jumped", velocity is not None)
+    yield from _readmit(filter, channel, time_s)
     return True
 
 
-def _is_back(filter: Filter, channel: Channel) -> bool:
+def _is_back(filter: FilterState, channel: Channel) -> bool:
     """Whether a reading beside the constants of its sensor agrees with the state without them."""
-    memory, kept = filter.memory, channel.memory.aside
+    memory, kept = filter.memory, channel.faults.aside
     constant = channel.jumped_by(memory.x)
     if kept is not None and not velocity_fault.shows_itself(
         kept, math.hypot(*memory.nav[3:6].tolist()), channel.res + constant
@@ -212,7 +298,7 @@ def _made(course: Course | None, fixes: Channel, time_s: float, nav: Array) -> C
     return (course or Course(float(nav[0]), float(nav[1]), time_s)).and_then(time_s, nav, fixes.res)
 
 
-def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s: float) -> bool:
+def _heading_outvoted(filter: FilterState, fixes: Channel, refused: Refusals, time_s: float) -> Actions:
     """Whether fixes and velocity together contradict the compass: then the position is opened to the next fix, and
     before that the heading is turned (`take_up`), and the fixes' slow error, which has followed it, begins afresh.
     """
@@ -220,110 +306,113 @@ def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s:
     change = None if refused.course is None else against_the_compass(filter, fixes, refused.course, time_s)
     if change is None or change.turn is None:
         return False
-    memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
+    yield Inflate(range(3), range(3), np.nan_to_num(fixes.res[:3]) ** 2)
     if change.sensor != fixes.name:
-        filter.channels[change.sensor].memory.course = told_here(fixes, memory.nav, change.turn[1])
-        filter.jumped.append(Change(fixes.name, fixes.sensor.models, afresh=True))
-    filter.jumped.append(change)
-    memory.counts["reset"] += 1
-    memory.counts["jumped"] += 1
+        filter.channels[change.sensor].faults.course = told_here(fixes, memory.nav, change.turn[1])
+        filter.monitor.changes.append(Change(fixes.name, fixes.sensor.models, afresh=True))
+    filter.monitor.changes.append(change)
+    yield Count("reset")
+    yield Count("jumped")
     return True
 
 
-def _gone_astray(filter: Filter, channel: Channel) -> None:
+def _gone_astray(filter: FilterState, channel: Channel) -> Iterator[Action]:
     """Begin the slow error of a sensor afresh, and carry as variance what it may have done to the position. Where dead
     reckoning errs rather, its velocity gets a constant.
     """
-    memory, kept = filter.memory, channel.memory
+    memory, kept = filter.memory, channel.faults
     speed = math.hypot(*memory.nav[3:6].tolist())
     velocity = dead_reckoning_compass.opened_velocity(filter, reckoned_wrongly(channel, speed), speed)
-    off = pulled(channel, memory.x) if velocity is None else np.abs(estimate(channel, memory.x))
-    memory.P[range(3), range(3)] += off**2
+    off = pulled(channel, memory.x) if velocity is None else np.abs(channel.coloured_error(memory.x))
+    yield Inflate(range(3), range(3), off**2)
     kept.refused, kept.astray_m = None, 0.0 if velocity is None else math.nan
-    filter.jumped.append(Change(channel.name, channel.sensor.models, afresh=True))
-    filter.jumped += [] if velocity is None else [velocity]
-    memory.counts["astray" if velocity is None else "jumped"] += 1
+    filter.monitor.changes.append(Change(channel.name, channel.sensor.models, afresh=True))
+    filter.monitor.changes += [] if velocity is None else [velocity]
+    yield Count("astray" if velocity is None else "jumped")
 
 
-def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
+def pending(filter: FilterState) -> Iterator[Action]:
     """Do what refused readings have made necessary, before the next input."""
-    bias_drift.look(filter)
-    if filter.accused is not None:
-        slope, filter.accused = filter.accused, None
-        filter.jumps.accused(filter, slope)
-        _turned_to_the_compass(filter)
-        realignment.set_anew(filter, tell)
-    if filter.tilted:
-        filter.tilted = False
-        realignment.set_anew(filter, tell)
-    while filter.jumped:
-        change = filter.jumped.pop(0)
+    yield from bias_drift.look(filter)
+    if filter.monitor.slope is not None:
+        slope, filter.monitor.slope = filter.monitor.slope, None
+        yield from filter.monitor.glr.accused(filter, slope)
+        yield from _turned_to_the_compass(filter)
+        yield from realignment.set_anew(filter)
+    if filter.monitor.is_tilted:
+        filter.monitor.is_tilted = False
+        yield from realignment.set_anew(filter)
+    while filter.monitor.changes:
+        change = filter.monitor.changes.pop(0)
         if change.sensor not in filter.channels:
-            dead_reckoning_compass.take_up(filter, change, tell)
+            yield from dead_reckoning_compass.take_up(filter, change)
             continue
         channel = filter.channels[change.sensor]
-        channel.memory.refused = None
+        channel.faults.refused = None
         if change.afresh or change.error is not channel.sensor.models:
-            filter.adopt(change, tell)
+            yield Adopt(change)
         if change.turn is not None and channel.sensor.observes.north is None:
-            turned_by_fixes(filter, *change.turn, tell)
+            yield from turned_by_fixes(filter, *change.turn)
         elif change.turn is not None:
-            turned(filter, channel, *change.turn)
+            yield from turned(filter, channel, *change.turn)
 
 
-def _turned_to_the_compass(filter: Filter) -> None:
+def _turned_to_the_compass(filter: FilterState) -> Iterator[Action]:
     """The drive is wrong: where a compass has been refused, too, the heading is what it says."""
     now_s = filter.memory.time_s
     for channel in filter.channels.values():
-        kept = channel.memory
-        lasts = now_s - kept.rejected_since_s >= realignment.REFUSED_S and now_s - kept.last_s < realignment.HEARD_S
+        kept = channel.faults
+        lasts = (
+            now_s - kept.rejected_since_s >= realignment.REFUSED_S
+            and now_s - channel.memory.last_s < realignment.HEARD_S
+        )
         north = channel.sensor.observes.north
         if lasts and north is not None and not channel.offset:
             off = innovation_gate.whole_heading(channel, filter.memory.x)
             if abs(off) < math.tau:  # else it is no angle
                 variance = float(channel.white[north, north]) + channel.slow[north]
-                turned(filter, channel, math.remainder(off, math.tau), variance)
+                yield from turned(filter, channel, math.remainder(off, math.tau), variance)
                 return  # what another one read was held against the heading before
 
 
-def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
+def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
     """Give a sensor constants of the size of its jump; open those that it has, or take them where it is back. Of a
     velocity that has jumped by about itself only what reads the same is used from now on.
     """
-    memory, kept = filter.memory, channel.memory
+    memory, kept = filter.memory, channel.faults
     refused = kept.refused
     assert refused is not None
     may_be = depth_fault.undecided if channel.offset else depth_fault.may_be_right
     if sensor_bias.is_gauge(channel) and refused.back < LEAST and may_be(filter, channel, time_s):
-        depth_fault.open_both(filter, channel, time_s)
+        yield from depth_fault.open_both(filter, channel, time_s)
         return
     kept.either = False
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, sensor_bias.offset_places(channel)
     kept.aside = None if refused.back >= LEAST else velocity_fault.jumped(filter, channel, np.array(refused.offset))
     if kept.aside is not None:
-        memory.P[places, places] += size**2
+        yield Inflate(places, places, size**2)
         opened = with_offsets(models, size, density=kept.aside.density, only=channel.sensor.jumps)
-        filter.jumped.append(Change(channel.name, opened, offsets=True))
+        filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
     elif refused.back >= LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
         moving = channel.sensor.observes is Observable.VELOCITY_BODY and speed > SLOW
         only, deviates = channel.sensor.jumps, channel.sensor.observes.north is not None
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
-        filter.jumped.append(Change(channel.name, opened, offsets=True))
+        filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
     elif channel.moves and filter.inertial and time_s - kept.jumped_s < AGAIN_S:
-        _runs_away(filter, channel, time_s)
+        yield from _runs_away(filter, channel, time_s)
     else:
-        memory.P[places, places] += size**2
+        yield Inflate(places, places, size**2)
         kept.refused = None
     kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
     kept.course = kept.course if refused.back < LEAST else ()
     if kept.way is not None and refused.back >= LEAST:
         kept.way = replace(kept.way, north=0.0, east=0.0)
-    memory.counts["jumped"] += 1
+    yield Count("jumped")
 
 
-def used(filter: Filter, channel: Channel, time_s: float) -> None:
+def used(filter: FilterState, channel: Channel, time_s: float) -> None:
     """Note that a reading of this time has been used, and take constants of its sensor away where it turns out to have
     none.
     """
@@ -331,50 +420,66 @@ def used(filter: Filter, channel: Channel, time_s: float) -> None:
     if not channel.offset:
         return
     iron.used(filter, channel, time_s)
-    kept, memory = channel.memory, filter.memory
+    kept, memory = channel.faults, filter.memory
     settled = (
-        time_s - kept.jumped_s >= sensor_bias.SPAN_S and not channel.aside and channel.name not in _waiting(filter)
+        time_s - kept.jumped_s >= sensor_bias.SPAN_S
+        and not channel.faults.set_aside
+        and channel.name not in _waiting(filter)
     )
     if settled and sensor_bias.is_none(channel, memory.x, memory.P):
         kept.either = False
-        filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+        filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
 
 
-def _waiting(filter: Filter) -> list[str]:
-    return [change.sensor for change in filter.jumped]
+def _waiting(filter: FilterState) -> list[str]:
+    return [change.sensor for change in filter.monitor.changes]
 
 
-def _runs_away(filter: Filter, channel: Channel, time_s: float) -> None:
+def _runs_away(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
     """A velocity seems to jump again: the unit runs away from it. Its constants are taken away, and velocity, way since
     then, tilt and the unit's own errors are opened as far as it is off.
     """
-    memory, kept = filter.memory, channel.memory
+    memory, kept = filter.memory, channel.faults
     span_s, N = max(time_s - kept.jumped_s, channel.period_s), np.nan_to_num(channel.near[:, 3:6])
     off = np.nan_to_num(channel.res[: channel.axes] + channel.jumped_by(memory.x))
     V = N.T @ (off[:, None] ** 2 * N)
-    memory.P[3:6, 3:6] += V
-    memory.P[:3, :3] += V * span_s**2
-    memory.P[range(6, 8), range(6, 8)] += float(off @ off) / (span_s * STANDARD_GRAVITY) ** 2
+    yield Inflate(slice(3, 6), slice(3, 6), V)
+    yield Inflate(slice(3), slice(3), V * span_s**2)
+    yield Inflate(range(6, 8), range(6, 8), float(off @ off) / (span_s * STANDARD_GRAVITY) ** 2)
     drive = filter.layout.drive
-    memory.P[drive.slice, drive.slice] += drive.P0
-    filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+    yield Inflate(drive.slice, drive.slice, drive.P0)
+    filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
     kept.refused = kept.aside = None
 
 
 def _follows(channel: Channel, time_s: float) -> None:
     """Remember that the state is set to fixes against what was believed before: they may be what was wrong."""
     if channel.sensor.observes is Observable.FIX:
-        before_m, before_s = channel.memory.beat or (0.0, -math.inf)
+        before_m, before_s = channel.faults.beat or (0.0, -math.inf)
         off_m = math.hypot(*np.nan_to_num(channel.res[:2]).tolist())
-        channel.memory.beat = max(off_m, before_m if time_s - before_s < FOLLOWED_S else 0.0), float(time_s)
+        channel.faults.beat = max(off_m, before_m if time_s - before_s < FOLLOWED_S else 0.0), float(time_s)
 
 
-def _update(filter: Filter, channel: Channel, time_s: float) -> None:
+def _readmit(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
     """Correct by the reading that was refused, now that the covariance lets it in."""
-    memory, P = filter.memory, filter.memory.P
-    P[:] = 0.5 * (P + P.T)
-    channel.res[:] = innovation_gate.whole_residual(channel, memory.x)
-    no_limits = np.full(channel.axes + 1, np.inf)
-    update(memory, channel, channel.C, channel.R, no_limits, filter.drive_output)
-    channel.memory.use(time_s)
-    memory.counts["widened"] += 1
+    yield Readmit(channel, innovation_gate.whole_residual(channel, filter.memory.x))
+    channel.use(time_s)
+    yield Count("widened")
+
+
+#: What is asked of a reading that its gate has refused, in this order.
+REJECTED = (
+    _frozen_or_worthless,
+    _fix_out_of_reach,
+    _note_alternative_path,
+    _gyro_scale,
+    _acceleration,
+    _tilt,
+    _dead_reckoning_compass,
+    _implausible_bias,
+    _within_dead_reckoning,
+    _sensor_or_state_bias,
+    _state_contradicted,
+    _reopen_known_fault,
+    _widened_gate,
+)

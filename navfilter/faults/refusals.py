@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navfilter.faults.heading_fault import Course
 from navfilter.foundation.chi_square import chi_square_limit
-
-if TYPE_CHECKING:
-    from navfilter.faults.heading_fault import Course
 
 __all__ = ["Refusals"]
 

@@ -109,14 +109,14 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     have changed since the reading before is its process noise, the white error its measurement noise: the sum of the
     normalised innovations is then the chi-square test of the residuals about their weighted mean.
     """
-    memory, a = channel.memory, channel.axes
+    memory, a = channel.faults, channel.axes
     residual = np.array(channel.res[:a])
     white = np.array([max(variance, 1e-300) for variance in channel.R.diagonal().tolist()])
     seen = np.einsum("ij,jk,ik->i", channel.near[:, :9], P[:9, :9], channel.near[:, :9])
     before = memory.refused
     if before is None:
-        near = time_s - memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
-        confirmed = near and memory.used_s - memory.agreed_s >= CONFIRMED_S
+        near = time_s - channel.memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
+        confirmed = near and channel.memory.used_s - memory.agreed_s >= CONFIRMED_S
         # an error that grows reaches the gate just so, now and then; one that jumps is beyond it at once
         now_and_then = time_s - memory.refused_s <= BEFORE_S and memory.undisputed
         at_once = not now_and_then and channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
@@ -165,20 +165,20 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
     where single components have been left out for long.
     """
     dived = channel.has_dived(time_s)
-    if not (channel.stale or channel.doubted or dived):
+    if not (channel.stale or channel.faults.doubted(channel.offset) or dived):
         return channel.limits
-    refused, closer = channel.memory.refused, channel.limits.copy()
-    if time_s - channel.memory.partly_since_s >= channel.partly_for_s:
+    refused, closer = channel.faults.refused, channel.limits.copy()
+    if time_s - channel.faults.partly_since_s >= channel.partly_for_s:
         closer[0] = np.inf
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     held = held and channel.sensor.observes is not Observable.FIX
-    if held or channel.memory.astray:
+    if held or channel.faults.astray:
         closer[1 : 1 + channel.axes] *= HELD
     if dived:
         closer[1:4] = np.minimum(closer[1:4], SURFACED)
     if disproved(channel, time_s) and refused is not None and not refused.agree(SPAN_S):
         closer[1 : 1 + channel.axes] = -1.0
-    kept, scatter = channel.memory.aside, channel.memory.scatter
+    kept, scatter = channel.faults.aside, channel.faults.scatter
     worthless = scatter is not None and scatter.worthless
     if worthless or channel.stale or (kept is not None and not velocity_fault.unchanged(kept, z)):
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
@@ -187,8 +187,8 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
 
 def as_usual_until_s(channel: Channel) -> float:
     """Until when a reading that its gate lets in is as any other, although some may have been refused before it [s]."""
-    memory, refused = channel.memory, channel.memory.refused
-    if channel.contested:
+    memory, refused = channel.faults, channel.faults.refused
+    if channel.faults.contested(channel.offset):
         return -math.inf
     if refused is None:
         return math.inf
@@ -197,7 +197,7 @@ def as_usual_until_s(channel: Channel) -> float:
     if refused.jumped and not fixes:
         return -math.inf
     since_s = memory.rejected_since_s + SPAN_S if left and channel.sensor.observes.north is not None else math.inf
-    return min(since_s, memory.used_s + channel.dive_s) - SAME_S
+    return min(since_s, channel.memory.used_s + channel.dive_s) - SAME_S
 
 
 def disproved(channel: Channel, time_s: float) -> bool:
@@ -205,7 +205,7 @@ def disproved(channel: Channel, time_s: float) -> bool:
     long, and it had left the state at once, or was wrong before. Then the state has not: a gyro does not turn so. What
     reads the mirror of the heading, or one axis less, is right twice in a circle, and wrong again by the next turn.
     """
-    memory = channel.memory
+    memory = channel.faults
     if channel.sensor.observes.north is None or channel.offset or memory.refused is None:
         return False
     left = memory.refused.jumped or not memory.undisputed
@@ -225,7 +225,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
     carried : bool
         Whether more than accelerometers tells the height.
     """
-    memory, kind = channel.memory, channel.sensor.observes
+    memory, kind = channel.faults, channel.sensor.observes
     refused = memory.refused
     if refused is not None and not carried and is_gauge(channel) and refused.last_s - memory.rejected_since_s >= SPAN_S:
         off = float(np.abs(channel.res[0]))
@@ -239,7 +239,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
         return None if fixes or disproved(channel, refused.began_s) else "sensor"
     if kind in PLACE and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
         return None
-    unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S
+    unconfirmed = not channel.memory.used_s - memory.agreed_s >= CONFIRMED_S
     # after a dive fixes beat what was reckoned meanwhile
     return "state" if unconfirmed or (fixes and not refused.confirmed) else None
 
@@ -287,7 +287,7 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
     N = channel.near[:, first : first + 3]
     V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
     if is_gauge(channel) and not carried:
-        span_s = refused.last_s - channel.memory.rejected_since_s
+        span_s = refused.last_s - channel.faults.rejected_since_s
         # as the time, or as its square: the velocity is one or two times the mean one
         off, mean = offset @ N, offset @ N / span_s
         V[:3, 3:6], V[3:6, :3] = 1.5 * np.outer(off, mean), 1.5 * np.outer(mean, off)
@@ -344,7 +344,7 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
     near, plain = channel.near[:, :9], channel.res + constant
     channel.wrap(plain)
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
-    if channel.memory.either and not float(constant @ constant) > channel.limits[1] * float(seen.sum()):
+    if channel.faults.either and not float(constant @ constant) > channel.limits[1] * float(seen.sum()):
         return False  # the state is not known well enough to tell whether it is the gauge that was off
     meanwhile = (AGAIN * constant) ** 2
     squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)

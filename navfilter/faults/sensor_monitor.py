@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,7 @@ from navfilter.kernels.batch import (
     WHOLE_S,
 )
 from navfilter.models.health import NOISY, SensorHealth, silent_after_s
-
-if TYPE_CHECKING:
-    from navfilter.models.sensors import Sensor
+from navfilter.models.sensors import Sensor
 
 __all__ = ["Watch"]
 

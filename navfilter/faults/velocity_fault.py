@@ -13,14 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["Aside", "jumped", "shows_itself", "unchanged", "variances"]
 
@@ -61,19 +59,19 @@ class Aside:
         return SLOPE * SAME * _size(self.read) / math.sqrt(WANDERS_S)
 
 
-def jumped(filter: Filter, channel: Channel, jump: Array) -> Aside | None:
+def jumped(filter: FilterState, channel: Channel, jump: Array) -> Aside | None:
     """What is to be remembered of a velocity that has just jumped by about itself, where an inertial unit can do
     without it; None where it is not so.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
     jump : ndarray, shape (axes,)
         By how much it is off [m/s].
     """
     speed, by = math.hypot(*filter.memory.nav[3:6].tolist()), np.nan_to_num(jump)
-    carried = filter.inertial and not filter.watch.lost(filter.memory.watch)
+    carried = filter.inertial and not filter.monitor.imu_monitor.lost(filter.memory.monitor.imu)
     if not channel.sensor.ground or not carried or _size(by) <= SHARE * speed:
         return None
     says = _size(channel.reading) > SAYS * _size(by)

@@ -9,19 +9,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.bias_plausibility import believed
 from navfilter.filter.delayed_measurement import Sight
 from navfilter.filter.state_layout import Group
 from navfilter.kernels import delayed_state
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.models.fault_bias import deviations, has_offset, offset_states, proportions
-from navfilter.models.sensors import Sensor
+from navfilter.models.sensors import Observable, Sensor
 
-__all__ = ["Described"]
+__all__ = ["MOST_SDS", "Described", "believed"]
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
+#: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
+#: and less often, for an estimate varies less than what it estimates.
+MOST_SDS = 4.0
+#: The same of a height: that of a receiver leaves its description sooner than its place does.
+MOST_SDS_UP = 6.0
 
 
 class Described(NamedTuple):
@@ -111,3 +115,18 @@ class Described(NamedTuple):
     def is_of(self, sensor: Sensor, group: Group, variance: Array) -> bool:
         """Whether it is that of this sensor, these states, and this white variance of the gyros' rates."""
         return self.sensor is sensor and self.Phi is group.Phi and bool((self.variance == variance).all())
+
+
+def believed(sensor: Sensor, group: Group) -> Array:
+    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, and
+    where the error model sets no limit, shape (axes,).
+    """
+    e, none = group.errors, np.full(sensor.axes, np.inf)
+    if sensor.observes is not Observable.FIX or not e:
+        return none
+    Phi, P0 = group.Phi[:e, :e], group.P0[:e, :e]
+    if not np.allclose(Phi @ P0 @ Phi.T + group.Q[:e, :e], P0, rtol=1e-6, atol=1e-12):
+        return none  # it wanders for ever
+    variance = np.diag(group.C @ P0 @ group.C.T)
+    most = np.where(np.arange(sensor.axes) < 2, MOST_SDS, MOST_SDS_UP)
+    return np.where(variance > 0.0, most**2 * variance, np.inf)

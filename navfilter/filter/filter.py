@@ -1,33 +1,35 @@
 """The filter: the sole owner of the nominal state, its covariance and the error states.
-`navfilter.navigation.navigator` is what users see of it.
+
+Users see `navfilter.navigation.navigator` of it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults import noise_scale, policy, sensor_bias
-from navfilter.faults.imu import bias_drift, monitor, realignment
-from navfilter.faults.imu.bias_glr import JumpWatch
-from navfilter.filter.estimate import Estimate
-from navfilter.filter.events import Correction, Listening, Outcome, Passed, Propagated, Relaid
+from navfilter.filter import actions
+from navfilter.filter.actions import Action
+from navfilter.filter.events import Correction, Listening, Measurement, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
 from navfilter.filter.imu_intake import Intake
 from navfilter.filter.model_change import Adoption, Change, adoption
-from navfilter.filter.python_update import asked, shared
+from navfilter.filter.monitor import Actions, Monitor
+from navfilter.filter.python_update import asked, shared, update
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
 from navfilter.foundation.arguments import needs
-from navfilter.kernels import batch, kalman, strapdown
+from navfilter.kernels import batch, kalman, measurement, strapdown
 from navfilter.models.error_models import per_axis
-from navfilter.models.fault_bias import described, with_the_same_offsets
+from navfilter.models.fault_bias import described, offset_states, with_the_same_offsets
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.start import Start
+from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 
 __all__ = ["Filter"]
@@ -36,17 +38,20 @@ Array = NDArray[np.float64]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 
 
-class Filter(Estimate):
+class Filter:
     """Error-state extended Kalman filter in closed loop, fed in the order of time.
 
     `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model
-    in force, `recall` goes back to an earlier `memory`. What it does, it tells as events (`navfilter.filter.events`).
+    in force, `apply` does what a monitor asks for, `recall` goes back to an earlier `memory`. What it does, it tells as
+    events (`navfilter.filter.events`).
 
     Parameters
     ----------
     vehicle : Vehicle
         As its operator describes it.
     start : Start
+    monitor : Monitor
+        Judges readings and samples.
     tape : Tape, optional
         To write down what smoother and track need.
 
@@ -60,17 +65,11 @@ class Filter(Estimate):
         Of its states.
     channels : dict of str to Channel
     drive_output, drive_sd : ndarray, shapes (6, states of the drive + 1) and (6,)
-        Rows of C of the drive's error models, and the white variance of a sample; see `DriveWatch.expected`.
+        Rows of C of the drive's error models, and the white variance of a sample; see `Monitor.sample_sd`.
     feels_after : int
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
-    jumped : list of Change
-        Error models of sensors that have jumped or gone astray, to be adopted before the next input.
     foreseen : list of Adoption
         What may be adopted next, worked out beforehand.
-    accused : float or None
-        A velocity sensor has been left behind by the drive, see `ramp.accused`.
-    tilted : bool
-        Attitude and velocity are to be set anew before the next input, see `realignment.tilted`.
 
     Raises
     ------
@@ -81,20 +80,17 @@ class Filter(Estimate):
     #: Corrections may come so long after the last sample of the drive, at least [s].
     AHEAD_S = 1.0
 
-    def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
+    def __init__(self, vehicle: Vehicle, start: Start, monitor: Monitor, tape: Tape | None = None) -> None:
         needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
         needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
         needs("Navigator: tape", tape, Tape, type(None))
         self.vehicle = vehicle = vehicle.at(start)
-        self.start, self.tape, drive = start, tape, vehicle.drive
+        self.start, self.monitor, self.tape, drive = start, monitor, tape, vehicle.drive
         self.steps, self.hold, self.period_s = drive.steps, drive.hold, drive.period_s
         self.fold_every, self.ahead_s = max(1, round(drive.rate_hz)), max(self.AHEAD_S, 3.0 * self.period_s)
-        self.inertial, self.watch, self.jumps = drive.inertial, monitor.DriveWatch(drive), JumpWatch(drive)
+        self.inertial = drive.inertial
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
-        self.jumped: list[Change] = []
-        self.accused: float | None = None
-        self.tilted, self.gyros = False, np.zeros((3, 0))
         self._like: tuple[Vehicle, Layout] | None = None
         self.foreseen: list[Adoption] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
@@ -108,7 +104,7 @@ class Filter(Estimate):
         """Stand at the start, with other error models than the described ones in force if `models` are given."""
         state, ended_s = self.start.state, self.time_s if models is not None else 0.0
         assert state.covariance is not None
-        counts = dict.fromkeys(COUNTED, 0)
+        counts = dict.fromkeys((*COUNTED, *self.monitor.counted), 0)
         self.intake = Intake(self.vehicle.drive, state.time_s, counts)
         for channel in self.channels.values():
             channel.forget()
@@ -124,14 +120,12 @@ class Filter(Estimate):
             acc=self._identity(),
             drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
             recent=np.zeros((self.remembered, 7)),
-            watch=self.watch.fresh(),
-            jumps=self.jumps.fresh(self.layout, self.channels, state.time_s),
             intake=self.intake.memory,
             channels={name: channel.memory for name, channel in self.channels.items()},
             models=adopted,
             counts=counts,
         )
-        self.watch.refer(memory.watch, memory.nav, memory.P)  # what is unknown weighs by it
+        memory.monitor = self.monitor.fresh(self, memory)
         self.recall(memory)
         if self.tape is not None:
             if models is None:
@@ -155,10 +149,8 @@ class Filter(Estimate):
         in_force = found.after if found else self.vehicle.with_error(**dict(models))
         self.layout = layout = found.layout if found else Layout.of(in_force, self._like)
         g, m = layout.drive, layout.head
-        if self.inertial and (self._like is None or self._like[1].drive is not g):
-            self.gyros = bias_drift.gyros(g, self.period_s)
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
-        self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, self.watch.expected(in_force.drive, g.r)
+        self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, self.monitor.sample_sd(in_force.drive, g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0, 0])
         variance = self.vehicle.drive.rate_variance(g.Q, g.C, g.r)
@@ -167,11 +159,11 @@ class Filter(Estimate):
         self.bench, self.plan, self.drive_spot = shared(list(self.channels.values()), self.vehicle.drive, self._dims)
 
     def weigh(self) -> None:
-        """Believe the drive's axes as far as the watch over them says."""
-        g, w = self.layout.drive, self.memory.watch
-        self.watch.weigh(w, g.C, g.r, self.drive_output)
+        """Believe the drive's axes as far as the monitor says."""
+        g, remembered = self.layout.drive, self.memory.monitor
+        self.monitor.weigh(remembered, g.C, g.r, self.drive_output)
         if self.inertial:
-            variance = self.watch.rate_variance(w, g.r)
+            variance = self.monitor.rate_variance(remembered, g.r)
             for channel in self.channels.values():
                 channel.turns_by(variance)
 
@@ -189,6 +181,7 @@ class Filter(Estimate):
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
             channel.memory = memory.channels[name]
+        self.monitor.recall(memory.monitor, self.channels)
 
     # ---------------------------------------------------------------- propagation
     def advance(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
@@ -214,7 +207,7 @@ class Filter(Estimate):
             missing = self.intake.missing(until_s, self.memory.time_s)
             if missing is not None:
                 self._carry(*missing, tell, None)
-        realignment.attend(self, False, tell)
+        self.act(self.monitor.silence(self, False), tell)
 
     def _carry(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
         """Carry the state over samples, or over rows that stand in for those that are missing."""
@@ -223,15 +216,15 @@ class Filter(Estimate):
         whole = total <= self.fold_every - memory.unfolded and not (self._rest or room or each)
         missing = self.inertial and total > 0 and math.isnan(samples.item(1))
         if total:
-            realignment.attend(self, missing, tell)
+            self.act(self.monitor.silence(self, missing), tell)
         while begin < total:
             end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
                 said_s = min(stamps.item(-1), memory.sample_s + self.ahead_s + self.period_s)  # taken until then
-                self.watch.stand_in(samples[begin:end], memory, said_s, self.tape)
+                self.act(self.monitor.stand_in(self, samples[begin:end], said_s), tell)
                 self.weigh()
             elif self.inertial:
-                end = begin + self.watch.look(samples[begin:end], memory.watch, self.drive_sd)
+                end = begin + self.monitor.look(samples[begin:end], memory.monitor, self.drive_sd)
             block = samples if end - begin == total else samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
@@ -245,28 +238,23 @@ class Filter(Estimate):
             self.feel(tell)
             if room is not None:
                 tell(Passed(np.full(block.shape, np.nan) if missing else block))
-            if self.watch.news(memory.watch):
-                self.heed(tell)
+            if self.monitor.has_news(memory.monitor):
+                self.check_imu(tell)
             begin = end
 
-    def heed(self, tell: Listening) -> None:
-        """Act on what the watch over the drive has found."""
-        w = self.memory.watch
-        if not batch.heeded(w, self.memory.nav, self.memory.P, self.period_s):
-            before = self.watch.lost(w)
-            self.watch.heed(self, lambda: tell(self._fold()))
-            if before or self.watch.lost(w):
-                realignment.after_fault(self, tell)
+    def check_imu(self, tell: Listening) -> None:
+        """Act on what the monitor has found in the samples."""
+        self.act(self.monitor.imu(self), tell)
 
     def feel(self, tell: Listening) -> None:
         """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
         felt = self.vehicle.drive.felt(self.memory.drv, self.feels_after * self.period_s) if self._rest else None
-        if felt is None or self.watch.lost(self.memory.watch):
+        if felt is None or self.monitor.is_lost(self.memory.monitor):
             return
         for channel in self._rest:
             reading = channel.sensor.felt(*felt, self.memory.nav[3:6], self.memory.P[3:6, 3:6])
             if reading is not None:
-                tell(self._update(channel, self.memory.time_s, reading, None, False))
+                tell(self._update(channel, self.memory.time_s, reading, None, False, tell))
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
@@ -293,63 +281,51 @@ class Filter(Estimate):
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, self.present if memory.unfolded else None)
 
     # ---------------------------------------------------------------- correction
-    def correct(
-        self,
-        name: str,
-        time_s: float,
-        value: ArrayLike,
-        sd: ArrayLike | None = None,
-        frozen: bool = False,
-        same: bool = False,
-    ) -> Correction:
-        """Correct the state with a reading that comes in order.
+    def correct(self, measured: Measurement, tell: Listening) -> Correction:
+        """Correct the state with a measurement that comes in order.
 
         Parameters
         ----------
-        name : str
-            Of a sensor of the vehicle.
-        time_s : float
-            To be taken then (stamp plus `Sensor.lead_s`), at most a period of the drive before the present [s].
-        value : array_like
-            SI units and radians; NaN is a missing component.
-        sd : array_like, optional
-            White standard deviation of this one reading.
-        frozen : bool
-            The value has not changed for suspiciously long: it never widens the gate.
-        same : bool
-            It is that of the reading before.
+        measured : Measurement
+            Of a sensor of the vehicle. Its time is when it is taken (stamp plus `Sensor.lead_s`), at most a period of
+            the drive before the present.
+        tell : callable
+            As in `advance`.
         """
+        name, time_s, value, sd, frozen, same = measured
         channel, memory = self.channels[name], self.memory
         z = np.array(value, dtype=np.float64).reshape(-1)  # a copy: kernels want it contiguous and writable
         early = time_s - memory.time_s
         if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.sensor)):
-            return self._refused(channel, time_s, "invalid")
+            return self._unused(channel, time_s, "invalid")
         if time_s <= channel.memory.last_s:
-            return self._refused(channel, time_s, "duplicate")
+            return self._unused(channel, time_s, "duplicate")
         if early < -1.001 * self.period_s:
-            return self._refused(channel, time_s, "too-late")
+            return self._unused(channel, time_s, "too-late")
         if time_s - channel.lead_s - memory.sample_s > self.ahead_s:
-            return self._refused(channel, time_s, "ahead")
+            return self._unused(channel, time_s, "ahead")
         reading = channel.sensor.read(z)
         if reading is None:
-            return self._refused(channel, time_s, "invalid")
+            return self._unused(channel, time_s, "invalid")
         # one that could have waited is taken as it is at the end of a run: what comes then is not to be guessed
         holds = early <= 1.001 * self.period_s or not channel.lead_s
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
             self.hold(memory.nav, self._xd, memory.drv, early, self.Phid, self.Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
-        channel.stale = same and channel.moved_on(time_s, memory.nav, memory.P)
-        return self._update(channel, time_s, reading, sd, frozen or channel.stale)
+        channel.stale = same and self.monitor.is_stale(self, channel, time_s)
+        return self._update(channel, time_s, reading, sd, frozen or channel.stale, tell)
 
-    def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
+    def _unused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:
             self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], None)
         return Correction(Outcome(status), time_s, None)
 
-    def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
-        memory = self.memory
-        own = channel.variances(z, sd)
-        channel.gate[:] = sensor_bias.limits(channel, z, time_s)
+    def _update(
+        self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool, tell: Listening
+    ) -> Correction:
+        """Predict, gate and correct."""
+        memory, channel.reading = self.memory, z
+        channel.gate[:], own = self.monitor.gate(channel, z, sd, time_s)
         if channel.spot[batch.EQUATION]:
             batch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
@@ -359,17 +335,13 @@ class Filter(Estimate):
             asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)
         memory.unfolded = 0
         channel.memory.last_s = time_s
-        return self.concluded(channel, time_s, frozen)
+        return self.concluded(channel, time_s, frozen, tell)
 
-    def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
+    def concluded(self, channel: Channel, time_s: float, frozen: bool, tell: Listening) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
         channel.stuck, channel.stale = frozen, False
-        (nis, dof, used), widened = channel.verdict.tolist(), False
-        described = noise_scale.heard(self, channel, time_s, frozen)
-        if used:
-            policy.used(self, channel, time_s)
-        elif dof and math.isfinite(nis):
-            widened = policy.let_in(self, channel, time_s, nis, int(dof), frozen)
+        nis, dof, used = channel.verdict.tolist()
+        widened, described = self.act(self.monitor.judged(self, channel, time_s, frozen), tell)
         nis, channel.verdict[0] = described, channel.verdict[0] if widened else described
         if used or widened:
             status = "used"
@@ -386,9 +358,57 @@ class Filter(Estimate):
         outcome = Outcome(status) if status == "invalid" else Outcome(status, nis, int(dof), widened)
         return Correction(outcome, time_s, channel)
 
-    # ---------------------------------------------------------------- other error models
-    take_up = policy.take_up
+    # ---------------------------------------------------------------- what a monitor asks for
+    def act(self, wanted: Actions | Iterator[Action], tell: Listening) -> Any:
+        """Do actions as they are yielded: each before the next one is asked for. Returns what the generator returns."""
+        try:
+            while True:
+                self.apply(next(wanted), tell)
+        except StopIteration as end:
+            return end.value
 
+    def apply(self, action: Action, tell: Listening) -> None:
+        """Change the state, its covariance or what belongs to them: nobody else does."""
+        memory = self.memory
+        match action:
+            case actions.Inflate(rows, columns, covariance):
+                memory.P[rows, columns] += covariance
+            case actions.Count(name, times):
+                memory.counts[name] += times
+            case actions.Adopt(change):
+                self.adopt(change, tell)
+            case actions.Transform(velocity_n, C_nb, M, N):
+                self._put(velocity_n, C_nb, M, N, tell)
+            case actions.TurnHeading(compass, angle, variance):
+                self._turn_heading(compass, angle, variance)
+            case actions.MovePosition(north_m, east_m):
+                memory.nav[0] += north_m / memory.nav[15]
+                memory.nav[1] += east_m / (memory.nav[16] * math.cos(memory.nav[0]))
+            case actions.MoveError(place, by):
+                memory.x[place] += by
+            case actions.Readmit(channel, residual):
+                memory.P[:] = 0.5 * (memory.P + memory.P.T)
+                channel.res[:] = residual
+                no_limits = np.full(channel.axes + 1, np.inf)
+                update(memory, channel, channel.C, channel.R, no_limits, self.drive_output)
+            case actions.Fold():
+                if memory.unfolded:
+                    tell(self._fold())
+            case actions.Reweigh():
+                self.weigh()
+            case actions.RestartRest():
+                memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
+            case actions.AxisCondition(time_s, axis, condition):
+                if self.tape is not None:
+                    self.tape.axes.append((time_s, axis, condition))
+            case actions.Announce(event):
+                tell(event)
+
+    def take_up(self, tell: Listening) -> None:
+        """Do what refused readings have made necessary, before the next input."""
+        self.act(self.monitor.pending(self), tell)
+
+    # ---------------------------------------------------------------- other error models
     def described_models(self, others: Mapping[str, Errors]) -> dict[str, Errors]:
         """Error models put in force since the start, or others, without the constants of sensors that have jumped."""
         return described(self.memory.models, {name: channel.axes for name, channel in self.channels.items()}, others)
@@ -438,7 +458,7 @@ class Filter(Estimate):
         P = M @ self.memory.P @ M.T + N
         self.memory.P = np.ascontiguousarray(0.5 * (P + P.T))
 
-    def put(self, velocity_n: Array, C_nb: Array, M: Array, N: Array, tell: Listening) -> None:
+    def _put(self, velocity_n: Array, C_nb: Array, M: Array, N: Array, tell: Listening) -> None:
         """Put another velocity (3,) and attitude (3, 3) in place: of the error state ``M x + w``, ``w ~ N(0, N)``,
         is left.
         """
@@ -448,3 +468,87 @@ class Filter(Estimate):
         self._change(M, N)
         self._row()
         tell(Relaid(M, anew=True))
+
+    def _turn_heading(self, compass: Channel, angle: float, variance: float) -> None:
+        """Turn the heading by an angle of this variance, as by a reading of the compass.
+
+        Attitude and velocity are turned with all that is known of them; then both are opened by the angle together, and
+        take the reading. A constant of the compass, if it has one, takes the rest. Nothing waits to be folded in.
+        """
+        memory, tape, a, north = self.memory, self.tape, compass.axes, compass.sensor.observes.north
+        P, nav, x = memory.P, memory.nav, memory.x
+        R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
+        nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
+        for at in (3, 6):
+            M[at : at + 2, at : at + 2] = R
+        P[:] = M @ P @ M.T
+        if tape is not None:
+            tape.change(M)
+        places = compass.group.start + offset_states(compass.sensor.models, compass.period_s, north)
+        P[places, places] = np.maximum(np.diag(P)[places], angle**2)
+        # a velocity that is known in b goes with the heading
+        along = np.zeros(len(P))
+        along[[3, 4, 8]] = -nav[4], nav[3], 1.0
+        P += angle**2 * np.outer(along, along)
+        P[:] = 0.5 * (P + P.T)
+        compass.transition[:] = memory.acc[: len(compass.transition)]
+        kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
+        reading = np.full(a + 1, math.nan)  # only its slopes are asked for
+        if (
+            compass.kernel is measurement.magnetometer
+        ):  # they are those of the field that it feels: level, of unknown dip
+            field = math.cos(compass.constants[0]), math.sin(compass.constants[0]), 0.0
+            reading = np.append(nav[6:15].reshape(3, 3).T @ field, math.nan)
+        compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
+        compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
+        nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
+        update(memory, compass, nothing, variance * np.eye(a), open_gate, self.drive_output)
+        memory.unfolded = 0
+        if tape is not None:
+            tape.record(compass.record, a, compass.dims)
+            tape.row(memory.time_s, nav, x, P)
+
+    # ---------------------------------------------------------------- what is known
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+        return self.memory.time_s
+
+    @property
+    def nav(self) -> Array:
+        """Nominal state, see `NavState.pack`; shape (17,)."""
+        return self.memory.nav
+
+    @property
+    def x(self) -> Array:
+        """Estimated error states behind the nine of navigation, shape (n - 9,)."""
+        return self.memory.x
+
+    @property
+    def P(self) -> Array:
+        """Covariance of all error states as of the last fold, shape (n, n)."""
+        return self.memory.P
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Irregularities so far."""
+        return self.memory.counts
+
+    @property
+    def state(self) -> NavState:
+        """The state with its covariance, now; a copy."""
+        return NavState.unpack(self.memory.time_s, self.memory.nav, self.present[:81].reshape(9, 9))
+
+    @property
+    def present(self) -> Array:
+        """Covariance of navigation (81 elements), then the variances of all other states, now; shape (72 + n,)."""
+        memory, n = self.memory, self.layout.size
+        out = np.empty(72 + n)
+        inertial, work = memory.drv[strapdown.INERTIAL] != 0.0, np.empty(9 * (n + self.layout.head + 9))
+        kalman.present(memory.P, memory.acc, memory.nav, inertial, memory.drv[strapdown.OWN], work, out)
+        return out
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Estimates of all error states and parameters by name."""
+        return dict(zip(self.layout.names, self.memory.x.tolist(), strict=True))

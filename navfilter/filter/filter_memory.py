@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.imu import bias_drift
-from navfilter.faults.imu.monitor import CONDITIONS
-from navfilter.faults.imu.monitor import COUNTED as DRIVE_COUNTED
 from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.imu_intake import IntakeMemory
-from navfilter.kernels import imu_checks, strapdown
+from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel
 
 __all__ = ["COUNTED", "Errors", "FilterMemory"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
-#: What is counted.
+#: What is counted, beside what the monitor counts.
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),
     *("realigned", "shifted", "adopted", "given-up"),
-    *DRIVE_COUNTED,
 )
 #: No sd, error or element of a transition is as large, in whatever unit of SI (a lost position: 1e7 m): beyond it
 #: rounding alone makes covariances that are none.
@@ -59,20 +56,13 @@ class FilterMemory:
     recent : ndarray, shape (k, 7)
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
-    watch : ndarray, shape (7, 22) or (0, 22)
-        What the watch over the drive's axes remembers, see ``navfilter.kernels.imu_checks``.
-    jumps : ndarray, shape (4, J + 2, n + 3) or (0, J + 2, n + 3)
-        What is known of jumps of its biases, see ``navfilter.kernels.bias_glr``.
     intake : IntakeMemory
     channels : dict of str to ChannelMemory
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
     counts : dict of str to int
-    shifts : ndarray, shape (16, 13)
-        What the biases of its gyros were at the last looks, see `navfilter.faults.imu.bias_drift`.
-    quiet : tuple of float
-        Where nothing is heard, be it of the drive or of a sensor: since when [s], and the variances of the position
-        then, north, east and down [m^2]. Else empty.
+    monitor
+        What the monitor remembers, such as `navfilter.faults.memory.MonitorMemory`.
     """
 
     time_s: float
@@ -84,14 +74,11 @@ class FilterMemory:
     acc: Array
     drv: Array
     recent: Array
-    watch: Array
-    jumps: Array
     intake: IntakeMemory
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]
-    shifts: Array = field(default_factory=bias_drift.fresh)
-    quiet: tuple[float, ...] = ()
+    monitor: Any = None
 
     def problem(self, fresh: FilterMemory) -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is.
@@ -119,17 +106,6 @@ class FilterMemory:
             return "the attitude is no rotation, or the place not on the Earth"
         if not (self.recent[:, 0] >= 0.0).all():
             return "the last samples do not follow each other"
-        codes = self.watch[:6, [imu_checks.CODE, imu_checks.HEEDED]]
-        if not np.isin(codes, range(len(CONDITIONS))).all():
-            return "the drive's axes are in conditions that do not exist"
-        alone = [channel.alone for channel in self.channels.values() if channel.alone]
-        if any(len(told) != 3 or not all(type(v) is float for v in told) for told in alone):
-            return "what a heading told alone is not an angle and a place"
-        beat = [channel.beat for channel in self.channels.values() if channel.beat]
-        if any(len(told) != 2 or not all(type(v) is float for v in told) for told in beat):
-            return "what fixes have beaten is not a distance and a time"
-        if self.quiet and (len(self.quiet) != 4 or not all(type(v) is float for v in self.quiet)):
-            return "what was known before nothing was heard is not a time and three variances"
         # kernels use these as places of states
         places = [*strapdown.PLACES, strapdown.INCREMENTS, strapdown.PERIOD_S]
         if not np.array_equal(self.drv[places], fresh.drv[places]):

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.bias_plausibility import beyond_belief, is_calm
 from navfilter.kernels import batch, delayed_state, kalman, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
@@ -133,9 +132,9 @@ def asked(
     if channel.sensor.bend is not None:
         channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)
     # a reading that was refused has not pulled at anything, nor has it let go
-    let_go = channel.verdict[2] and is_calm(channel, x)
+    let_go = channel.verdict[2] and channel.is_calm(x)
     channel.pulled[0] = channel.ticks(time_s) + (0.0 if let_go else channel.pulled[0])
-    gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
+    gate = SHUT[: channel.axes + 1] if channel.beyond_belief(x) else channel.gate
     update(memory, channel, channel.C, channel.R, gate, drive_output)
 
 

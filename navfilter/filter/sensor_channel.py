@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults import noise_scale, velocity_fault
 from navfilter.filter.channel_memory import ChannelMemory
-from navfilter.filter.channel_model import Described
+from navfilter.filter.channel_model import MOST_SDS, Described
 from navfilter.filter.delayed_measurement import Sight
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
@@ -32,8 +31,6 @@ Array = NDArray[np.float64]
 MAJORITY = 0.5
 #: The past is kept for a time offset of up to so many standard deviations.
 CLOCK_SDS = 4.0
-#: A vehicle that has moved by more than so many standard deviations has moved [1].
-STILL_SDS = 3.0
 #: A vehicle has dived if no fix was used for so long [s], and for so many of their periods [1].
 DIVE_S, DIVE_PERIODS = 60.0, 20.0
 
@@ -66,7 +63,7 @@ class Channel:
         self.held = sensor.held()
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
-        self.facts: Array | None = None  # see `scatter.facts`
+        self.facts: Array | None = None  # what the monitor works out for these states
         self._described: Described | None = None
         self._foreseen: Described | None = None
         self.forget()
@@ -74,6 +71,7 @@ class Channel:
     def forget(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
+        self.faults: Any = None  # what the monitor remembers of the sensor
         self.count, self.stuck, self.stale = 0, False, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
@@ -176,17 +174,6 @@ class Channel:
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
 
-    def variances(self, z: Array, sd: ArrayLike | None) -> Array:
-        """White variances of a reading, where they are not those of the error model: then none."""
-        self.reading = z
-        own = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), self.axes)
-        memory = self._memory
-        if memory.aside is None and memory.scatter is None:
-            return own
-        own = own if own.size else self.group.r
-        own = own if memory.aside is None else velocity_fault.variances(memory.aside, z, own)
-        return own if memory.scatter is None else noise_scale.variances(memory.scatter, own)
-
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
         self.into[0][:] = outputs[:3]
@@ -199,8 +186,6 @@ class Channel:
 
     @memory.setter
     def memory(self, memory: ChannelMemory) -> None:
-        if memory.scatter is not None and not memory.scatter.is_of(self.axes):
-            raise ValueError(f"what is kept of the noise of {self.name} is not laid out as this vehicle's.")
         self._last[:] = memory.last
         memory.last = self._last
         self._memory = memory
@@ -214,59 +199,14 @@ class Channel:
     def times(self, times: tuple[float, float]) -> None:
         self._memory.last_s, self._memory.ticked_s = times
 
-    @property
-    def doubted(self) -> bool:
-        """Whether its next reading is Python's to judge, live."""
-        return self.contested or self.scatters or self._memory.refused is not None
-
-    @property
-    def contested(self) -> bool:
-        """Whether more is doubted of it than its last readings, and by how much it scatters."""
-        memory, kept = self._memory, self._memory.scatter
-        since = bool(memory.alone) or memory.partly_since_s > -math.inf or memory.astray
-        return since or self.offset or (kept is not None and kept.worthless)
-
-    @property
-    def scatters(self) -> bool:
-        """Whether it seems to scatter by more than its error model says: each of its readings is heard."""
-        return self._memory.scatter is not None and self._memory.scatter.watched
-
     def has_dived(self, time_s: float) -> bool:
         """Whether no fix has been used for so long that the vehicle has dived."""
         return self.dive_s < time_s - self._memory.used_s < math.inf
 
     def use(self, time_s: float) -> None:
         """Note that its last reading, of this time, has been used, whole or in part."""
-        memory, partly_since_s = self._memory, self._memory.partly_since_s
-        memory.use(time_s)
-        if self.partly_for_s == math.inf:
-            return
-        if self.verdict[1] < np.count_nonzero(np.isfinite(self.note[3 : 3 + self.axes])):
-            memory.partly_since_s = time_s if math.isnan(partly_since_s) else partly_since_s
-
-    @property
-    def aside(self) -> bool:
-        """Whether it has jumped by about the velocity itself, see `navfilter.faults.velocity_fault`."""
-        return self._memory.aside is not None
-
-    @property
-    def condition(self) -> str:
-        """What has been found of its errors; empty for nothing."""
-        memory = self._memory
-        return "astray" if memory.astray else "jumped" if self.offset else ""
-
-    def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
-        """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on
-        since, by more than its noise and the velocity's could hide. Then the receiver is stuck, or it is no new fix.
-        """
-        memory = self._memory
-        if self.sensor.observes.corrects != "position" or self.axes < 2:
-            return False
-        if memory.again_s != memory.last_s:
-            memory.same_s = memory.last_s
-        memory.again_s = time_s
-        slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
-        return slow * (time_s - memory.same_s) > STILL_SDS * math.sqrt(max(self.white[0, 0], self.white[1, 1]))
+        self.memory.used_s = time_s
+        self.faults.use(time_s)
 
     def in_proportion(self, z: Array, nav: Array, x: Array) -> None:
         """Let the errors in proportion to the speed, and those that go with the heading, be those of a reading as
@@ -280,6 +220,22 @@ class Channel:
         if len(state):
             # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
             self.C[self.sensor.observes.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
+
+    def coloured_error(self, x: Array) -> Array:
+        """The coloured error that its readings are thought to have, shape (axes,); x: (n - 9,) error states."""
+        first = self.group.start - 9
+        return np.asarray(self.C @ x[first : first + self.group.errors])
+
+    def beyond_belief(self, x: Array) -> bool:
+        """Whether the estimate of its coloured error is no longer believed: then no reading is used."""
+        limits = self.limits[self.axes + 1 :].tolist()
+        if min(limits) == math.inf:  # of most sensors: nothing is beyond that
+            return False
+        return any(error * error > limit for error, limit in zip(self.coloured_error(x).tolist(), limits, strict=True))
+
+    def is_calm(self, x: Array) -> bool:
+        """Whether the estimate of its coloured error is within one standard deviation."""
+        return bool(np.all(self.coloured_error(x) ** 2 <= self.limits[self.axes + 1 :] / MOST_SDS**2))
 
     def jumped_by(self, x: Array) -> Array:
         """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""

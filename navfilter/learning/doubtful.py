@@ -15,7 +15,7 @@ def doubtful_ticks(channel: Channel, time_s: float) -> int:
     """How many ticks of a sensor, up to its reading of a time [s], show no error to be learnt: those of one that is
     stuck or has jumped. What a gate refuses for another reason is learnt from: it shows an error larger than believed.
     """
-    memory, refused = channel.memory, channel.memory.refused
+    memory, refused = channel.faults, channel.faults.refused
     if channel.stuck:
         return round(STUCK_S / channel.period_s) + 1
     if refused is not None and refused.jumped and refused.count >= JUMPED:

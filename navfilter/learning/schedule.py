@@ -197,7 +197,7 @@ class LearningSchedule:
             *(self._fed_back, channel.mem, channel.dims, channel.places, memory.nav, channel.C, memory.x),
             *(kind, mount, ring, cursor, channel.count, self.filter.drive_output, self._gravity),
         )
-        if outcome.widened and channel.memory.agreed_s == time_s:
+        if outcome.widened and channel.faults.agreed_s == time_s:
             self._state_reset(channel.sensor.open_loop)
         doubtful = 0 if listener is None else doubtful_ticks(channel, time_s)
         if listener is not None and doubtful:

@@ -83,7 +83,7 @@ class Passage:
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
         self._same = self._repeated()
-        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
+        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.monitor.cross_checks
         # beams have more directions than an ear of the kernel holds
         heard = all(listener.ear.size == open_loop_residual.EAR for listener in nav.learning.listeners.values())
         self._steady = driven and heard and nav.learning.rest is None
@@ -196,7 +196,7 @@ class Passage:
     def _conclude(self, sensor: int, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""
         nav, watch, name = self.nav, self._watches[sensor], self._readings.names[sensor]
-        correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
+        correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck, nav.told)
         nav.told(correction)
         nav.filter.take_up(nav.told)
         of = correction.outcome
@@ -270,8 +270,8 @@ class Passage:
         """Act on what the kernel has come upon in the samples."""
         filter, told = self.nav.filter, self.nav.told
         filter.feel(told)
-        if filter.watch.news(filter.memory.watch):
-            filter.heed(told)
+        if filter.monitor.has_news(filter.memory.monitor):
+            filter.check_imu(told)
 
     def _call(self) -> int:
         filter, given = self.nav.filter, self._readings
@@ -303,7 +303,7 @@ class Passage:
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
                     *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, recent),
-                    *(memory.watch, filter.drive_sd, filter.watch.limits),
+                    *(memory.monitor.imu, filter.drive_sd, filter.monitor.sample_limits),
                 ),
                 self._samples,
                 self._stamps,
@@ -321,20 +321,20 @@ class Passage:
             newest = int(cursor[kernels.NEWEST])
             memory.recent = recent[newest : newest + len(memory.recent)].copy()
         for channel, row in zip(self._channels, scattered[0], strict=False):
-            if channel.scatters:
-                channel.memory.scatter = Scatter.of(row[: scatters.size(channel.axes)].copy())
+            if channel.faults.scatters:
+                channel.faults.scatter = Scatter.of(row[: scatters.size(channel.axes)].copy())
         self._written(now, cursor, heard, watched, first, why, out)
         self._overheard(hearing[1], int(first[0]))
         return why
 
     def _scattered(self) -> tuple[Array, Array]:
         """What is remembered and known of those that scatter by more than they should; no rows where none does."""
-        if not any(channel.scatters for channel in self._channels):
+        if not any(channel.faults.scatters for channel in self._channels):
             return np.zeros((0, 1)), np.zeros((0, 1))
         most = max(channel.axes for channel in self._channels)
         kept, facts = np.zeros((2, len(self._channels), max(scatters.size(most), scatters.facts_size(most))))
         for i, channel in enumerate(self._channels):
-            if channel.scatters:
+            if channel.faults.scatters:
                 own, known = noise_scale.noted(channel), noise_scale.facts(self.nav.filter, channel)
                 kept[i, : own.size], facts[i, : known.size] = own, known
         return kept, facts
@@ -385,7 +385,7 @@ class Passage:
             if len(mine) or i == judged:
                 watch.caught_up(watched[i], given.value(self.at if i == judged else first_at + mine[-1]).tobytes())
             for k in mine[[0, -1]] if len(mine) else ():
-                channel.memory.use(float(times[k]))
+                channel.use(float(times[k]))
             if tape is not None and len(mine):
                 notes = self._notes.take(used.start + mine, axis=0)[:, : 3 + 2 * channel.axes]
                 tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)

@@ -84,7 +84,7 @@ class PromptSample:
     def take(self, samples: Array) -> bool:
         """Whether these are an ordinary sample (1, 7), and have been taken; else nothing has been done."""
         nav, history = self._nav, self._history
-        if len(samples) != 1 or nav.filter.memory.quiet:  # the first behind some that were missing ends that
+        if len(samples) != 1 or nav.filter.memory.monitor.silent:  # the first behind some that were missing ends that
             self._as_of = -1
             return False
         if fresh := nav.changes != self._as_of:
@@ -116,7 +116,7 @@ class PromptSample:
             nav.beginning.follow(given)
         if why == batch.HEED:
             self._as_of = -1
-            nav.filter.heed(nav.told)
+            nav.filter.check_imu(nav.told)
         return True
 
     def _is_ready(self) -> None:
@@ -126,7 +126,15 @@ class PromptSample:
         piece = _NO_RING if kept is None or not kept.samples.pieces else kept.samples.pieces[-1]
         arrays = (
             *(memory.nav, memory.x, memory.drv, self._spans, filter.intake.limits, filter.drive_sd),
-            *(filter.watch.limits, memory.watch, memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output),
+            *(
+                filter.monitor.sample_limits,
+                memory.monitor.imu,
+                memory.P,
+                memory.acc,
+                filter.Phid,
+                filter.Qd,
+                filter.drive_output,
+            ),
             *(piece, filter.plan),
         )
         self._hand.take(arrays)
@@ -244,7 +252,7 @@ class Prompt:
         """What becomes of a reading that a gate has refused; read: what the kernel has taken."""
         channel, nav = self._channel, self._nav
         channel.reading, channel.count = read.copy(), int(self._facts[batch.TICKED])
-        correction = self._filter.concluded(channel, given.time_s, False)
+        correction = self._filter.concluded(channel, given.time_s, False, nav.told)
         nav.told(correction, given.value)
         outcome = correction.outcome
         self._watch.note(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
@@ -284,9 +292,14 @@ class Prompt:
         filter, learning = nav.filter, nav.learning
         channel, memory = filter.channels[self._name], filter.memory
         known, kept = channel.spot.item(batch.EQUATION), learning.beginning
-        if channel.doubted or not (known and channel.memory.agrees) or nav.waiting.readings or learning.is_waiting:
+        if (
+            channel.faults.doubted(channel.offset)
+            or not (known and channel.faults.agrees)
+            or nav.waiting.readings
+            or learning.is_waiting
+        ):
             return False
-        if memory.quiet:
+        if memory.monitor.silent:
             return False
         heads = values = _NO_RING
         if kept is not None:
@@ -317,7 +330,11 @@ class Prompt:
 def prompt_sample(nav: Run) -> PromptSample | None:
     """That of a navigator, where samples may be ordinary ones."""
     filter = nav.filter
-    plain = nav.history is not None and nav.learning.rest is None and not (filter.feels_after or filter.jumps.active)
+    plain = (
+        nav.history is not None
+        and nav.learning.rest is None
+        and not (filter.feels_after or filter.monitor.cross_checks)
+    )
     return PromptSample(nav) if plain else None
 
 
@@ -325,6 +342,6 @@ def prompts(nav: Run) -> dict[str, Prompt]:
     """Those of a navigator, by sensor: of readings that need not wait, where they may come late and no jump of the
     drive is looked for.
     """
-    if nav.history is None or nav.filter.jumps.active:
+    if nav.history is None or nav.filter.monitor.cross_checks:
         return {}
     return {name: Prompt(nav, name) for name, sensor in nav.vehicle.sensors.items() if not sensor.lead_s}

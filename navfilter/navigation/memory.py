@@ -13,6 +13,7 @@ from navfilter.faults.dead_reckoning_compass import Reckoned
 from navfilter.faults.heading_fault import Course
 from navfilter.faults.imu.gyro_scale import Turns
 from navfilter.faults.lane_selection import ChoiceMemory
+from navfilter.faults.memory import MonitorMemory, SensorFaults
 from navfilter.faults.noise_scale import Scatter
 from navfilter.faults.refusals import Refusals
 from navfilter.faults.sensor_monitor import Watch
@@ -88,7 +89,20 @@ class LanesMemory:
 
 #: Classes that a snapshot is made of, beside error models.
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Reckoned, Aside, Scatter, Turns),
+    *(
+        NavigatorMemory,
+        FilterMemory,
+        ChannelMemory,
+        MonitorMemory,
+        SensorFaults,
+        Refusals,
+        RefusedWay,
+        Course,
+        Reckoned,
+        Aside,
+        Scatter,
+        Turns,
+    ),
     *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived, Ahead),
     *(
         LearningMemory,

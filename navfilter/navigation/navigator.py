@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
+from navfilter.faults.monitor import FaultMonitor
 from navfilter.faults.sensor_monitor import Watch
 from navfilter.filter.events import Event, Measurement, Outcome
 from navfilter.filter.filter import Filter
@@ -94,7 +95,7 @@ class Navigator(Running):
         if isinstance(vehicle, Vehicle) and vehicle.lanes():
             raise ValueError("this vehicle has lanes: use LaneNavigator, or one of vehicle.lanes().")
         self.vehicle, self.start = vehicle, start
-        self.filter = Filter(vehicle, start, tape)
+        self.filter = Filter(vehicle, start, FaultMonitor(vehicle), tape)
         usual_s = max([self.HISTORY_S, *(sensor.late_s for sensor in vehicle.sensors.values())])
         length_s = (usual_s if tape is None else 0.0) if history_s is None else float(history_s)
         if not (math.isfinite(length_s) and length_s >= 0.0):
@@ -262,21 +263,21 @@ class Navigator(Running):
         if isinstance(item, np.ndarray):
             self.learning.keep(item)
             self.filter.advance(item, self.told, self._room)
-            self.changes += bool(self.filter.memory.quiet)
+            self.changes += bool(self.filter.memory.monitor.silent)
             return None
         ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
         if not ahead_s > self.filter.ahead_s:
             self.beginning.before(item.time_s)
         self.learning.keep(item)
         self.filter.carry_on(item.name, item.time_s, self.told)
-        self.told(correction := self.filter.correct(*item), item.value)
+        self.told(correction := self.filter.correct(item, self.told), item.value)
         self.filter.take_up(self.told)
         return correction.outcome
 
     def told(self, event: Event, value: Array | None = None) -> None:
         """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
         self.changes += 1
-        self.filter.jumps.heard(event, self.filter, value)
+        self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.told)
         for change in self.learning.heard(event):
             self.filter.adopt(change, self.told)
 
@@ -437,7 +438,12 @@ class Navigator(Running):
                 self.listen(name, listener.ring.shape[1])
         self.filter.begin(dict(memory.filter.models))
         self.learning.begin_again(-math.inf)
-        problem = misfit(memory, self.memory, "memory") or memory.filter.problem(self.filter.memory)
+        own = self.filter
+        problem = (
+            misfit(memory, self.memory, "memory")
+            or memory.filter.problem(own.memory)
+            or own.monitor.problem(memory.filter.monitor, own.channels)
+        )
         if problem:
             raise ValueError(problem)
         memory.learning.revive(tuple(self.filter.channels))

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from navfilter.faults import protection_level
 from navfilter.faults.alternative_path import since_fix
-from navfilter.faults.bias_plausibility import MOST_SDS, beside
+from navfilter.faults.bias_plausibility import beside
 from navfilter.faults.clocks.imu_clock import DriveClock
 from navfilter.faults.heading_fault import led_astray, told_by_fixes
 from navfilter.faults.sensor_monitor import Watch
+from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.filter import Filter
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.display import Shown
@@ -69,9 +70,12 @@ def health_of(
     memory, channels, P = filter.memory, filter.channels, state.covariance
     assert P is not None
     now_s = memory.time_s
-    sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
+    sensors = {
+        name: watch.health(now_s, channels[name].faults.condition(channels[name].offset))
+        for name, watch in watches.items()
+    }
     drive = filter.vehicle.drive
-    axes = filter.watch.conditions(memory.watch) or drive.conditions(memory.drv)
+    axes = filter.monitor.conditions(memory.monitor) or drive.conditions(memory.drv)
     off: dict[str, float] = {}
     held = filter.inertial and drive.feels
     slow, fix = 0.0, _last_fix(filter, watches)
@@ -106,7 +110,7 @@ def health_of(
         axes,
         Bounds(float(radius_m), float(heading_rad)),
         protection_level.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
-        filter.watch.lane(memory.watch),
+        filter.monitor.carrier(memory.monitor),
         clock.memory.offset_s,
         learning,
     )
@@ -131,13 +135,13 @@ def _distance(nav: Array, latitude: float, longitude: float) -> float:
 
 def _off(channel: Channel, watch: Watch, now_s: float) -> float:
     """What a sensor may be off by; 0 for one that has not been heard, or has been found to be off."""
-    sensor, kept, a = channel.sensor, channel.memory, channel.axes
+    sensor, kept, a = channel.sensor, channel.faults, channel.axes
     if channel.offset or not sensor.observes.corrects:
         return 0.0
     note = channel.note.tolist()
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
-    confirmed = kept.used_s - kept.agreed_s >= protection_level.CONFIRMED_S
-    again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
+    confirmed = channel.memory.used_s - kept.agreed_s >= protection_level.CONFIRMED_S
+    again = channel.memory.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     alone = kept.alone[0] if kept.alone else 0.0
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
         return max(

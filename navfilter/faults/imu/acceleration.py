@@ -12,18 +12,15 @@ faster than such a vehicle can be, while a sensor that was right says that it is
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity
 from navfilter.faults.alternative_path import believable, most_speed
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["accused", "ramp_of", "with_refused"]
 
@@ -48,27 +45,27 @@ LONG_S, SAME, GROWN = 10.0, 0.25, 1.0
 RUNAWAY_S = 2.0
 
 
-def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
+def accused(filter: FilterState, channel: Channel, time_s: float) -> float | None:
     """Slope of the ramp by which a refused velocity accuses the drive [m/s^2]; None where it does not.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
         Whose reading has just been refused; its memory takes note.
     time_s : float
         Of the reading [s].
     """
-    kept, since_s = channel.memory, channel.memory.rejected_since_s
+    kept, since_s = channel.faults, channel.faults.rejected_since_s
     nav = filter.memory.nav
     residual = (
         ground_velocity.residual(channel, nav, channel.note[3 : 3 + channel.axes]) if channel.sensor.ground else None
     )
-    if filter.inertial and filter.jumps.fails_again(channel, filter.memory):
+    if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
         return 0.0
     if residual is None or not _was_right(filter, channel):
         slope = None
-    elif time_s == since_s or float(np.linalg.norm(filter.memory.watch[:3, kernel.MEAN])) > TURNING:
+    elif time_s == since_s or float(np.linalg.norm(filter.memory.monitor.imu[:3, kernel.MEAN])) > TURNING:
         kept.ramp, slope = (), None
     elif believable(residual, math.hypot(*nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
         kept.ramp = with_refused(kept.ramp, time_s - since_s, residual, read(filter, channel))
@@ -86,22 +83,22 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
     return slope
 
 
-def may_accuse(filter: Filter, channel: Channel, time_s: float) -> bool:
+def may_accuse(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """Whether a sensor that is refused has confirmed the state well enough before to speak against the drive."""
-    return _was_right(filter, channel) and channel.memory.undisputed
+    return _was_right(filter, channel) and channel.faults.undisputed
 
 
-def _was_right(filter: Filter, channel: Channel) -> bool:
+def _was_right(filter: FilterState, channel: Channel) -> bool:
     """Whether a velocity that is refused was used for long before, on a way."""
     if not filter.inertial or not channel.sensor.ground:
         return False
-    kept, way = channel.memory, filter.start.way_to(*filter.memory.nav[:2].tolist())
-    return kept.used_s - kept.agreed_s >= USED_S and math.hypot(*way) >= WAY_M
+    kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
+    return channel.memory.used_s - kept.agreed_s >= USED_S and math.hypot(*way) >= WAY_M
 
 
-def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
+def ran_away(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """Whether the state has become faster than the vehicle can be, while a velocity that was right is refused."""
-    kept, stated = channel.memory, filter.vehicle.drive.max_speed_m_s
+    kept, stated = channel.faults, filter.vehicle.drive.max_speed_m_s
     if not time_s - kept.rejected_since_s >= RUNAWAY_S or not _was_right(filter, channel):
         return False
     fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
@@ -112,7 +109,7 @@ def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
     return claimed <= most < math.hypot(*filter.memory.nav[3:6].tolist())
 
 
-def read(filter: Filter, channel: Channel) -> Array:
+def read(filter: FilterState, channel: Channel) -> Array:
     """The velocity that a refused reading says, in b, shape (3,) [m/s]."""
     nav, values = filter.memory.nav, channel.note[3 : 3 + channel.axes]
     if channel.sensor.ground == ground_velocity.AXES:

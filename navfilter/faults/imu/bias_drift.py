@@ -20,13 +20,17 @@ Accelerometers are not looked at: theirs shows in a velocity at once.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel_memory import UNDISPUTED_S
+from navfilter.faults.settings import UNDISPUTED_S
+from navfilter.filter.actions import Action, Count, Inflate
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.state_layout import Group
 from navfilter.kernels import batch
 from navfilter.kernels import bias_drift as kernel
 from navfilter.kernels.bias_drift import (
@@ -43,11 +47,6 @@ from navfilter.kernels.bias_drift import (
     VARIANCE,
     farthest,
 )
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.state_layout import Group
 
 __all__ = ["due_s", "fresh", "gyros", "look", "looking", "shifted"]
 
@@ -77,19 +76,19 @@ def fresh() -> Array:
     return np.full((LOOKS, COLUMNS), math.nan)
 
 
-def due_s(filter: Filter) -> float:
+def due_s(filter: FilterState) -> float:
     """Time of the reading by which the next look comes [s]."""
     if not filter.inertial:
         return math.inf
-    last_s = filter.memory.shifts.item(-1, TIME_S)
+    last_s = filter.memory.monitor.bias_drift.item(-1, TIME_S)
     return -math.inf if math.isnan(last_s) else (math.floor(last_s / EVERY_S) + 1.0) * EVERY_S
 
 
-def looking(filter: Filter) -> tuple[Array, Array, Array]:
+def looking(filter: FilterState) -> tuple[Array, Array, Array]:
     """The looks so far, what is known of the gyros, and the next look, see `navfilter.kernels.bias_drift`."""
     memory, now = filter.memory, np.zeros(COLUMNS)
     now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    return memory.shifts, filter.gyros, now
+    return memory.monitor.bias_drift, filter.monitor.gyros(filter), now
 
 
 def gyros(drive: Group, period_s: float) -> Array:
@@ -100,7 +99,7 @@ def gyros(drive: Group, period_s: float) -> Array:
     return known
 
 
-def look(filter: Filter) -> None:
+def look(filter: FilterState) -> Iterator[Action]:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory = filter.memory
     heard = [[channel.memory.last_s] for channel in filter.channels.values()]
@@ -109,7 +108,7 @@ def look(filter: Filter) -> None:
     looks, gyros, now = looking(filter)
     state = memory.nav, memory.x, memory.P
     if not batch.look_at_biases(
-        filter.bench, filter.plan, np.array(heard), *state, memory.watch, memory.time_s, looks, gyros, now
+        filter.bench, filter.plan, np.array(heard), *state, memory.monitor.imu, memory.time_s, looks, gyros, now
     ):
         return
     g = filter.layout.drive
@@ -122,19 +121,19 @@ def look(filter: Filter) -> None:
         if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)
     ]
     for axis, row, size in found:
-        _open(memory, int(places[axis]), axis, size, kept[row:])
-        memory.counts["shifted"] += 1
+        yield from _open(memory, int(places[axis]), axis, size, kept[row:])
+        yield Count("shifted")
     if found:
         kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
-    memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
+    memory.monitor.bias_drift = np.concatenate([kept[1:], now[np.newaxis]])
 
 
-def _undisputed(filter: Filter, time_s: float) -> bool:
+def _undisputed(filter: FilterState, time_s: float) -> bool:
     """Whether no sensor has been refused for long of late: what is described wrongly tilts the vehicle, too."""
-    return all(time_s - c.memory.disputed_s > UNDISPUTED_S for c in filter.channels.values())
+    return all(time_s - c.faults.disputed_s > UNDISPUTED_S for c in filter.channels.values())
 
 
-def _compass(filter: Filter) -> Channel | None:
+def _compass(filter: FilterState) -> Channel | None:
     """One that has been heard just now."""
     heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < batch.COMPASS_S]
     return next((c for c in heard if c.sensor.observes.north is not None), None)
@@ -215,7 +214,7 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     return found
 
 
-def _open(memory: FilterMemory, place: int, axis: int, size: float, looks: Array) -> None:
+def _open(memory: FilterMemory, place: int, axis: int, size: float, looks: Array) -> Iterator[Action]:
     """Open a bias by a shift of this size since the first of these looks, and what that has done to the state: the
     heading has turned ever further from then on, and with it the velocity and the way made; what a slow error has taken
     of it goes with the heading, too. What it tilts is resisted.
@@ -231,6 +230,6 @@ def _open(memory: FilterMemory, place: int, axis: int, size: float, looks: Array
     done[:3] = -float(between @ east), float(between @ north), 0.0
     done[3:5] = heading[-1] * np.array([-nav[4], nav[3]])
     done[place] = 0.0
-    P += np.outer(done, done)
-    P[place, place] += size**2
-    P[range(6, 8), range(6, 8)] += (rate[:2] * min(since_s[-1], TILT_S)) ** 2
+    yield Inflate(slice(None), slice(None), np.outer(done, done))
+    yield Inflate(place, place, size**2)
+    yield Inflate(range(6, 8), range(6, 8), (rate[:2] * min(since_s[-1], TILT_S)) ** 2)

@@ -9,22 +9,21 @@ biases open: a new bias is learnt within seconds. If it is no bias, it is left o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.actions import Action, Inflate
 from navfilter.filter.events import Correction, Event, Propagated, Relaid
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.state_layout import Layout
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.kernels.bias_glr import AXES, carry_jumps, hear_jumps
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.sensor_channel import Channel
-    from navfilter.filter.state_layout import Layout
-    from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.mechanisation import Mechanisation
 
 __all__ = ["JumpWatch"]
 
@@ -85,13 +84,13 @@ class JumpWatch:
             if states.size:
                 bank[axis, layout.drive.start + states[0]] = 1.0
 
-    def heard(self, event: Event, filter: Filter, value: Array | None = None) -> None:
+    def on_event(self, filter: FilterState, event: Event, value: Array | None = None) -> Iterator[Action]:
         """Take what the filter has done, and leave the inertial unit out where it is contradicted.
 
         Parameters
         ----------
+        filter : FilterState
         event : Event
-        filter : Filter
         value : ndarray, optional
             Of the reading: one that repeats the one before to the bit says nothing, for its sensor may be stuck.
         """
@@ -99,9 +98,9 @@ class JumpWatch:
         if isinstance(event, Correction):
             if event.channel is None or not self.active:
                 return
-            channel, banks = event.channel, memory.jumps
+            channel, banks = event.channel, memory.monitor.bias_glr
             slot = int(memory.time_s / SPACING_S)
-            if filter.watch.busy(memory.watch):
+            if filter.monitor.imu_monitor.busy(memory.monitor.imu):
                 # what stands in place of an axis is no white noise: what it does to innovations is no jump
                 for bank in banks:
                     self._begin(bank, filter.layout)
@@ -115,88 +114,90 @@ class JumpWatch:
             for bank in banks:
                 largest = max(largest, hear_jumps(bank, channel.mem, channel.dims, channel.places, offset, says))
             if largest > LIMIT:
-                self._judge(filter)
+                yield from self._judge(filter)
             if self.fails_again(channel, memory):
-                self._leave_out(filter, np.zeros(AXES))
+                yield from self._leave_out(filter, np.zeros(AXES))
         elif isinstance(event, Propagated):
-            for bank in memory.jumps:
+            for bank in memory.monitor.bias_glr:
                 carry_jumps(bank, event.transition)
         elif isinstance(event, Relaid):
-            memory.jumps = self.fresh(filter.layout, filter.channels, memory.time_s)
+            memory.monitor.bias_glr = self.fresh(filter.layout, filter.channels, memory.time_s)
 
-    def _judge(self, filter: Filter) -> None:
+    def _judge(self, filter: FilterState) -> Iterator[Action]:
         """Leave the unit out if a jump of one of its axes explains the innovations, and no jump of a sensor does."""
         memory, n = filter.memory, filter.layout.size
-        rows = memory.jumps[:, :-2]
+        rows = memory.monitor.bias_glr[:, :-2]
         c = np.maximum(rows[:, :, n + 1], 1e-300)
         likely, sizes = rows[:, :, n] ** 2 / c, rows[:, :, n] / c
         # a few readings of a new window are explained by anything
-        slot = int(memory.jumps[0, -2, -1])
+        slot = int(memory.monitor.bias_glr[0, -2, -1])
         old = [(slot - back) % WINDOWS for back in range(YOUNG, WINDOWS)]
         window = max(old, key=lambda k: likely[k, :AXES].max())
         axis = int(np.argmax(likely[window, :AXES]))
         best = likely[window, axis]
-        if best < likely[:, AXES:].max(initial=0.0) + MARGIN or best < SHARE * memory.jumps[window, -1, -1]:
+        if best < likely[:, AXES:].max(initial=0.0) + MARGIN or best < SHARE * memory.monitor.bias_glr[window, -1, -1]:
             return
         if best < LIMIT or not self._carried(filter):
             return
         errors = sizes[window, :3, None] * rows[window, :3, 6:9]
         # the velocity is opened by what stands in place of forces; what the gyros may have done to the attitude:
         blamed = likely[window, :3] > best - MARGIN
-        memory.P[6:9, 6:9] += errors[blamed].T @ errors[blamed]
-        self._leave_out(filter, sizes[window, :AXES])
+        yield Inflate(slice(6, 9), slice(6, 9), errors[blamed].T @ errors[blamed])
+        yield from self._leave_out(filter, sizes[window, :AXES])
 
-    def accused(self, filter: Filter, slope: float) -> None:
+    def accused(self, filter: FilterState, slope: float) -> Iterator[Action]:
         """Leave the unit out for a while because of a ramp (`navfilter.faults.imu.acceleration`): it is its tilt, or a
         bias.
 
         Parameters
         ----------
-        filter : Filter
+        filter : FilterState
         slope : float
             Of the ramp [m/s^2]; 0: it has failed again.
         """
         memory = filter.memory
         tilt = slope / strapdown.gravity(memory.nav[0], memory.nav[2])
-        memory.P[range(6, 8), range(6, 8)] += tilt**2
+        yield Inflate(range(6, 8), range(6, 8), tilt**2)
         if self._carried(filter):
-            self._leave_out(filter, np.repeat([tilt / OUT_S, slope], 3))
+            yield from self._leave_out(filter, np.repeat([tilt / OUT_S, slope], 3))
 
     @staticmethod
-    def _carried(filter: Filter) -> bool:
+    def _carried(filter: FilterState) -> bool:
         """Whether compass and DVL carry the vehicle without it."""
         recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
-        return any(c.moves and not c.aside for c in recent) and any(c.sensor.observes.north is not None for c in recent)
+        return any(c.moves and not c.faults.set_aside for c in recent) and any(
+            c.sensor.observes.north is not None for c in recent
+        )
 
     @staticmethod
     def fails_again(channel: Channel, memory: FilterMemory) -> bool:
         """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
-        since_s = memory.time_s - channel.memory.rejected_since_s
-        late = memory.time_s - memory.watch[[0, 3], kernel.UNTIL_S].max() < LONGEST_S
-        carries = not channel.aside and (channel.moves or channel.sensor.observes.north is not None)
+        since_s = memory.time_s - channel.faults.rejected_since_s
+        late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < LONGEST_S
+        carries = not channel.faults.set_aside and (channel.moves or channel.sensor.observes.north is not None)
         return late and since_s > REJECTED_S and carries
 
-    def _leave_out(self, filter: Filter, sizes: Array) -> None:
+    def _leave_out(self, filter: FilterState, sizes: Array) -> Iterator[Action]:
         """Gyros and accelerometers are left out for a while; the longer, the sooner they have failed again."""
         now_s = filter.memory.time_s
         for begin in (0, 3):
-            axes, first = filter.memory.watch[begin : begin + 3], filter.memory.watch[begin]
+            axes, first = filter.memory.monitor.imu[begin : begin + 3], filter.memory.monitor.imu[begin]
             again = now_s - first[kernel.UNTIL_S] < max(first[kernel.OUT_S], OUT_S)
             first[kernel.OUT_S] = min(2.0 * first[kernel.OUT_S], LONGEST_S) if again else OUT_S
             first[kernel.UNTIL_S] = now_s + first[kernel.OUT_S]
             left = axes[:, kernel.CODE] <= kernel.NOISY
             axes[left, kernel.CODE], axes[left, kernel.BEGAN_S] = kernel.CONTRADICTED, 0.0
             axes[:, kernel.JUMP] = np.maximum(axes[:, kernel.JUMP], OPENED * np.abs(sizes[begin : begin + 3]))
-        filter.watch.heed(filter, lambda: None)
+        yield from filter.monitor.imu_monitor.heed(filter)
 
-    def take_back(self, axes: Array, first: int, filter: Filter) -> None:
+    def take_back(self, axes: Array, first: int, filter: FilterState) -> Iterator[Action]:
         """Three axes, rows of the watch from `first` on, are used again: their biases may be what contradicted."""
         back = (axes[:, kernel.CODE] == kernel.CONTRADICTED) & (axes[:, kernel.HELD] == 0.0)
-        g, P = filter.layout.drive, filter.memory.P
+        g, w = filter.layout.drive, filter.memory.monitor.imu
         for axis in first + np.flatnonzero(back):
             states = g.biases[axis]
             if states.size:
                 place = g.start + states[0]
-                P[place, place] += filter.memory.watch[axis, kernel.JUMP] ** 2
-                filter.memory.watch[axis, kernel.JUMP] = 0.0
+                yield Inflate(place, place, w[axis, kernel.JUMP] ** 2)
+                w[axis, kernel.JUMP] = 0.0
         axes[back, kernel.CODE] = kernel.GOOD

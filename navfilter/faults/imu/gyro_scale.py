@@ -11,19 +11,17 @@ the heading again; that is then the compass's, and all else goes on.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.allowed_change import wander
+from navfilter.filter.actions import Action, Inflate
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
-
-if TYPE_CHECKING:
-    from navfilter.filter.channel_memory import ChannelMemory
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["Turns", "agrees", "contradicted", "look", "refused"]
 
@@ -78,12 +76,12 @@ class Turns:
     followed: float = 0.0
 
 
-def refused(filter: Filter, channel: Channel, time_s: float, residual: float) -> None:
+def refused(filter: FilterState, channel: Channel, time_s: float, residual: float) -> Iterator[Action]:
     """Take a reading that has just been refused; where a compass contradicts a gyro, that is left out.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
         Its memory is changed.
     channel : Channel
         As the rejected update left it.
@@ -92,9 +90,13 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
     residual : float
         Of the reading, slow error and all [rad].
     """
-    memory, kept, w = filter.memory, channel.memory, filter.memory.watch
+    memory, kept, w = filter.memory, channel.faults, filter.memory.monitor.imu
     before = kept.turns or Turns()
-    if time_s - before.time_s < STEP_S or not filter.watch.active or (w[:3, kernel.HEEDED] > kernel.NOISY).any():
+    if (
+        time_s - before.time_s < STEP_S
+        or not filter.monitor.imu_monitor.active
+        or (w[:3, kernel.HEEDED] > kernel.NOISY).any()
+    ):
         return
     if math.isnan(residual):  # an attitude without a heading
         return
@@ -105,7 +107,7 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
     axis = int(np.argmax(np.abs(memory.nav[12:15] * w[:3, kernel.MEAN])))
     turned = float(np.sum(np.abs([step[2] for step in now.steps])))
     fast = float(w[kernel.UNIT, kernel.FAST])
-    proven = fast - now.followed - turned >= FOLLOWED or _undisputed(kept)
+    proven = fast - now.followed - turned >= FOLLOWED or _undisputed(channel)
     lasts = time_s - kept.rejected_since_s >= LASTS_S
     may_be = lasts and proven and _velocity_refused(filter, time_s)
     since_s = contradicted(now.steps) if may_be else None
@@ -113,21 +115,21 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
         if time_s - kept.rejected_since_s >= DISPUTED_S:
             kept.turns = replace(now, followed=fast)
         return
-    _leave_out(filter, axis, residual, time_s - since_s)
+    yield from _leave_out(filter, axis, residual, time_s - since_s)
     kept.turns = replace(now, steps=())
 
 
-def look(filter: Filter) -> None:
+def look(filter: FilterState) -> None:
     """Whether a gyro that is left out turns with the heading again; then it may be used."""
-    memory, w = filter.memory, filter.memory.watch
+    memory, w = filter.memory, filter.memory.monitor.imu
     held = np.flatnonzero(w[:3, kernel.HELD])
     for channel in filter.channels.values():
-        kept = channel.memory
+        kept = channel.faults
         if not len(held) or kept.turns is None or memory.time_s - kept.turns.time_s < STEP_S:
             continue
         noise = 2.0 * float(memory.P[8, 8])
         kept.turns = _stepped(kept.turns, memory.time_s, _heading(memory.nav), w, noise)
-        if memory.time_s - kept.used_s < LATELY_S and agrees(kept.turns.steps):
+        if memory.time_s - channel.memory.used_s < LATELY_S and agrees(kept.turns.steps):
             w[held, kernel.HELD], kept.turns = 0.0, replace(kept.turns, steps=())
 
 
@@ -185,23 +187,23 @@ def _stepped(before: Turns, time_s: float, heading: float, w: Array, noise: floa
     return replace(before, time_s=time_s, heading=heading, turned=turned, steps=steps)
 
 
-def _undisputed(compass: ChannelMemory) -> bool:
-    return compass.undisputed and compass.used_s - compass.agreed_s >= USED_S
+def _undisputed(compass: Channel) -> bool:
+    return compass.faults.undisputed and compass.memory.used_s - compass.faults.agreed_s >= USED_S
 
 
-def _velocity_refused(filter: Filter, time_s: float) -> bool:
+def _velocity_refused(filter: FilterState, time_s: float) -> bool:
     """Whether a velocity contradicts the state, too."""
-    moving = [c.memory for c in filter.channels.values() if c.moves and not c.aside]
+    moving = [c.faults for c in filter.channels.values() if c.moves and not c.faults.set_aside]
     return any(m.refused_s > time_s - LATELY_S or not math.isnan(m.rejected_since_s) for m in moving)
 
 
-def _leave_out(filter: Filter, axis: int, residual: float, seconds: float) -> None:
+def _leave_out(filter: FilterState, axis: int, residual: float, seconds: float) -> Iterator[Action]:
     """An axis is left out; heading, velocity and position are opened by what it has done."""
-    memory, w, g = filter.memory, filter.memory.watch, filter.layout.drive
-    P, way = memory.P, math.hypot(*memory.nav[3:5].tolist()) * abs(residual)
-    P[8, 8] += residual**2
-    P[range(3, 5), range(3, 5)] += way**2
-    P[range(2), range(2)] += (way * seconds) ** 2
+    memory, w, g = filter.memory, filter.memory.monitor.imu, filter.layout.drive
+    way = math.hypot(*memory.nav[3:5].tolist()) * abs(residual)
+    yield Inflate(8, 8, residual**2)
+    yield Inflate(range(3, 5), range(3, 5), way**2)
+    yield Inflate(range(2), range(2), (way * seconds) ** 2)
     w[axis, kernel.CODE], w[axis, kernel.BEGAN_S], w[axis, kernel.HELD] = kernel.CONTRADICTED, 0.0, 1.0
     w[axis, kernel.JUMP] = math.sqrt(float(g.C[axis] @ g.P0[: g.errors, : g.errors] @ g.C[axis]))
-    filter.watch.heed(filter, lambda: None)
+    yield from filter.monitor.imu_monitor.heed(filter)

@@ -9,21 +9,19 @@ DVL. That is dead reckoning, by the same filter.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.imu import gyro_scale
+from navfilter.filter.actions import Action, AxisCondition, Count, Fold, Inflate, Reweigh
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.monitor import FilterState
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel, Sum
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.records import Tape
-    from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.mechanisation import Mechanisation
 
 __all__ = ["CONDITIONS", "COUNTED", "USED", "DriveWatch"]
 
@@ -111,7 +109,7 @@ class DriveWatch:
         """
         return kernel.look(samples, w, sd, self.limits, self._period_s, self._increments)
 
-    def stand_in(self, samples: Array, memory: FilterMemory, said_s: float, tape: Tape | None) -> None:
+    def stand_in(self, samples: Array, memory: FilterMemory, said_s: float) -> Iterator[Action]:
         """Values for samples that are missing: no rate, and the force at rest. No axis is good until it has been heard
         again for ``RECOVERS_S``.
 
@@ -122,19 +120,16 @@ class DriveWatch:
         memory : FilterMemory
         said_s : float
             Since when that is said of them [s].
-        tape : Tape or None
-            Is told of the axes whose condition changes.
         """
-        w, unit = memory.watch, memory.watch[kernel.UNIT]
+        w, unit = memory.monitor.imu, memory.monitor.imu[kernel.UNIT]
         heard = [axis[kernel.CODE] not in (kernel.SILENT, kernel.CONTRADICTED) for axis in w[: kernel.UNIT]]
         if any(heard) or not memory.unfolded:  # a block, which ends at a fold, is no other than one after the other
             self.refer(w, memory.nav, memory.P)
         for name, axis, spoke in zip(self.axes, w[: kernel.UNIT], heard, strict=True):
             if spoke:
-                memory.counts["silent"] += 1
+                yield Count("silent")
                 axis[kernel.CODE] = axis[kernel.HEEDED] = kernel.SILENT
-                if tape is not None:
-                    tape.axes.append((said_s, name, CONDITIONS[kernel.SILENT]))
+                yield AxisCondition(said_s, name, CONDITIONS[kernel.SILENT])
             axis[kernel.CLEAN_S] = 0.0
         samples[:, 1:4], samples[:, 4:] = 0.0, unit[kernel.REFERENCE : kernel.REFERENCE + 3]
         if self._increments:
@@ -169,52 +164,48 @@ class DriveWatch:
         """Whether something is to be heeded."""
         return self.active and w.item(kernel.UNIT, kernel.NEWS) != 0.0
 
-    def heed(self, filter: Filter, fold: object) -> None:
+    def heed(self, filter: FilterState) -> Iterator[Action]:
         """Look at what the kernel has found, at the sample where it found it.
 
         Parameters
         ----------
-        filter : Filter
-        fold : callable
-            Takes what is pending into the covariance.
+        filter : FilterState
         """
         memory = filter.memory
-        w, unit = memory.watch, memory.watch[kernel.UNIT]
+        w, unit = memory.monitor.imu, memory.monitor.imu[kernel.UNIT]
         opened: list[Array] = []
         calm = not w[: kernel.UNIT, (kernel.CODE, kernel.HEEDED)].any()
         for i in range(6):
             axis = w[i]
             code, heeded = axis[kernel.CODE], axis[kernel.HEEDED]
             if axis[kernel.SIZE]:
-                memory.counts["spike"] += 1
+                yield Count("spike")
                 opened.append(self._done(i, axis[kernel.SIZE], self._period_s, memory.nav))
                 axis[kernel.SIZE] = 0.0
             if code != heeded:
                 if code != kernel.GOOD:
-                    memory.counts[CONDITIONS[int(code)]] += 1
+                    yield Count(CONDITIONS[int(code)])
                 if code > kernel.NOISY >= heeded:
                     expected = 0.0 if i < 3 else unit[kernel.REFERENCE + i - 3]
                     most = max(self._unseen[i], abs(axis[kernel.MEAN] - expected))
                     opened.append(self._done(i, most, axis[kernel.BEGAN_S], memory.nav))
                 axis[kernel.HEEDED] = code
-                if filter.tape is not None:
-                    filter.tape.axes.append((memory.time_s, self.axes[i], CONDITIONS[int(code)]))
+                yield AxisCondition(memory.time_s, self.axes[i], CONDITIONS[int(code)])
             if code == kernel.NOISY:
                 axis[kernel.WHITE] = axis[kernel.NOISE] / 6.0
         if opened:
-            if memory.unfolded:
-                fold()  # type: ignore[operator]
+            yield Fold()
             for done in opened:
-                memory.P[:9, :9] += np.outer(done, done)
+                yield Inflate(slice(9), slice(9), np.outer(done, done))
         if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
             unit[kernel.TICK] = 0.0
             gyro_scale.look(filter)
             for first in (0, 3):
                 if memory.time_s > w[first, kernel.UNTIL_S]:
-                    filter.jumps.take_back(w[first : first + 3], first, filter)
+                    yield from filter.monitor.glr.take_back(w[first : first + 3], first, filter)
             self.refer(w, memory.nav, memory.P)
         if not calm:
-            filter.weigh()  # last: from the same memory it comes out the same, whenever it is recalled
+            yield Reweigh()  # last: from the same memory it comes out the same, whenever it is recalled
 
     def refer(self, w: Array, nav: Array, P: Array) -> None:
         """Take the reference of gravity from the attitude as it is now."""

@@ -13,22 +13,21 @@ Where nothing was heard for long, neither drive nor sensors, no vehicle has gone
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity
-from navfilter.faults.alternative_path import believable, followed, full_residual, most_speed
+from navfilter.faults.alternative_path import believable, follows, full_residual, most_speed, moved
+from navfilter.filter.actions import Action, Announce, Count, MovePosition, RestartRest, Reweigh, Transform
 from navfilter.filter.events import StoodIn
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.models.state import rotation_matrix
-
-if TYPE_CHECKING:
-    from navfilter.filter.events import Listening
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["after_fault", "attend", "set_anew", "tilted"]
 
@@ -72,40 +71,38 @@ class Level(NamedTuple):
         return self.sd > max(SURE_SD, math.sqrt(self.variance)) or self.doubt > LIMIT
 
 
-def after_fault(filter: Filter, tell: Listening) -> None:
+def after_fault(filter: FilterState) -> Iterator[Action]:
     """While axes of the drive are left out, and when they are used again: set attitude and velocity anew where the
     tilt is not known, or not what the accelerometers say; and say that they were.
 
     Parameters
     ----------
-    filter : Filter
-    tell : callable
-        Is told of it.
+    filter : FilterState
     """
     level = _level(filter)
     if level is not None and level.knows_better:
-        set_anew(filter, tell)
-    tell(StoodIn(filter.watch.stood_in_s(filter.memory.watch)))
+        yield from set_anew(filter)
+    yield Announce(StoodIn(filter.monitor.imu_monitor.stood_in_s(filter.memory.monitor.imu)))
 
 
-def tilted(filter: Filter, channel: Channel, time_s: float) -> bool:
+def tilted(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """Whether a velocity that has been refused for `REFUSED_S` shows that the attitude is wrong: the accelerometers
     contradict it, or it is not known.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     channel : Channel
         Whose reading has just been refused.
     time_s : float
     """
-    if not channel.moves or not filter.inertial or not time_s - channel.memory.rejected_since_s >= REFUSED_S:
+    if not channel.moves or not filter.inertial or not time_s - channel.faults.rejected_since_s >= REFUSED_S:
         return False
     level = _level(filter)
     return level is not None and level.knows_better
 
 
-def set_anew(filter: Filter, tell: Listening) -> None:
+def set_anew(filter: FilterState) -> Iterator[Action]:
     """Roll, pitch and velocity by accelerometers and DVL; by one of them where there is no other."""
     level, memory, state = _level(filter), filter.memory, filter.state
     velocity, refused = state.velocity_n.copy(), _refused_velocity(filter)
@@ -125,52 +122,49 @@ def set_anew(filter: Filter, tell: Listening) -> None:
         M[range(3, 6), range(3, 6)] = 0.0
         attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
         N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
-        if channel.memory.way is None:  # whose way nobody has kept
-            N[:3, :3] = np.outer(off, off) * (memory.time_s - channel.memory.refused_from_s) ** 2
+        if channel.faults.way is None:  # whose way nobody has kept
+            N[:3, :3] = np.outer(off, off) * (memory.time_s - channel.faults.refused_from_s) ** 2
         else:
-            N[:2, :2] = followed(filter, channel)
+            yield MovePosition(*moved(filter, channel))
+            N[:2, :2] = follows(filter, channel)
         for channel in filter.channels.values():
-            if channel.moves and not channel.aside:
-                channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
-    memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0  # a mean over what was replaced shows no rest
-    memory.counts["realigned"] += 1
-    filter.put(velocity, C, M, N, tell)
-    filter.watch.refer(memory.watch, memory.nav, memory.P)
-    filter.weigh()  # from the same memory it comes out the same, whenever it is recalled
+            if channel.moves and not channel.faults.set_aside:
+                channel.faults.rejected_since_s, channel.faults.refused = math.nan, None
+    yield RestartRest()  # a mean over what was replaced shows no rest
+    yield Count("realigned")
+    yield Transform(velocity, C, M, N)
+    filter.monitor.imu_monitor.refer(memory.monitor.imu, memory.nav, memory.P)
+    yield Reweigh()  # from the same memory it comes out the same, whenever it is recalled
 
 
-def attend(filter: Filter, missing: bool, tell: Listening) -> None:
+def attend(filter: FilterState, missing: bool) -> Iterator[Action]:
     """Note when nothing is heard any more, and take account of it before what is heard next, be it a reading: however
     the time between is cut into pieces.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
         Its memory is changed.
     missing : bool
         Whether samples are missing from here on.
-    tell : callable
-        Is told of what changes.
     """
     memory = filter.memory
-    if missing and not memory.quiet:
-        memory.quiet = (memory.time_s, *np.diag(memory.P)[:3].tolist())
-    elif memory.quiet and not missing:
-        _bound(filter, tell)
+    if missing and not memory.monitor.silent:
+        memory.monitor.silent = (memory.time_s, *np.diag(memory.P)[:3].tolist())
+    elif memory.monitor.silent and not missing:
+        yield from _bound(filter)
 
 
-def _bound(filter: Filter, tell: Listening) -> None:
+def _bound(filter: FilterState) -> Iterator[Action]:
     """After a time in which nothing was heard, before the next reading or sample: no more variance of velocity and
     position than the vehicle's speed gives them. The velocity that it had may have been that of any direction since.
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
         Its memory says since when, and the variance of the position before.
-    tell : callable
-        Is told of it.
     """
-    (begun_s, *position), filter.memory.quiet = filter.memory.quiet, ()
+    (begun_s, *position), filter.memory.monitor.silent = filter.memory.monitor.silent, ()
     seconds = filter.memory.time_s - begun_s
     memory, state = filter.memory, filter.state
     assert state.covariance is not None
@@ -182,24 +176,28 @@ def _bound(filter: Filter, tell: Listening) -> None:
     if (shrink < 1.0).any():
         M = np.eye(len(memory.P))
         M[range(6), range(6)] = shrink
-        filter.put(state.velocity_n, state.C_nb, M, np.zeros_like(M), tell)
-    tell(StoodIn(seconds))
+        yield Transform(state.velocity_n, state.C_nb, M, np.zeros_like(M))
+    yield Announce(StoodIn(seconds))
 
 
 def _tells_tilt(channel: Channel, now_s: float) -> bool:
     """Whether a sensor that reads roll and pitch agrees with the state, and has been used lately."""
-    memory, instrument = channel.memory, channel.sensor.observes.north is not None and channel.axes > 1
-    return instrument and memory.agrees and now_s - memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
+    memory, instrument = channel.faults, channel.sensor.observes.north is not None and channel.axes > 1
+    return instrument and memory.agrees and now_s - channel.memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
 
 
-def _level(filter: Filter) -> Level | None:
+def _level(filter: FilterState) -> Level | None:
     """What the accelerometers show; None where they are not used, or feel more than gravity, and while an instrument
     that tells the tilt itself is used.
     """
-    memory, watch = filter.memory, filter.memory.watch
+    memory, watch = filter.memory, filter.memory.monitor.imu
     if any(_tells_tilt(channel, memory.time_s) for channel in filter.channels.values()):
         return None
-    if not filter.watch.active or (watch[3:6, kernel.HEEDED] > kernel.NOISY).any() or not watch[3, kernel.SEEN]:
+    if (
+        not filter.monitor.imu_monitor.active
+        or (watch[3:6, kernel.HEEDED] > kernel.NOISY).any()
+        or not watch[3, kernel.SEEN]
+    ):
         return None
     g, state = filter.layout.drive, filter.state
     C = g.C[3:6]
@@ -221,12 +219,12 @@ def _level(filter: Filter) -> Level | None:
     return Level(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
 
 
-def _refused_velocity(filter: Filter) -> tuple[Array, Channel] | None:
+def _refused_velocity(filter: FilterState) -> tuple[Array, Channel] | None:
     """By how much the velocity in n is off, as a sensor says whose readings are refused."""
     for channel in filter.channels.values():
-        memory, now_s = channel.memory, filter.memory.time_s
-        refused = channel.moves and not channel.aside and not math.isnan(memory.rejected_since_s)
-        if refused and now_s - memory.last_s < HEARD_S:
+        memory, now_s = channel.faults, filter.memory.time_s
+        refused = channel.moves and not channel.faults.set_aside and not math.isnan(memory.rejected_since_s)
+        if refused and now_s - channel.memory.last_s < HEARD_S:
             residual = ground_velocity.components(channel, full_residual(filter, channel))
             seen = np.isfinite(residual)
             N = ground_velocity.components(channel, channel.near)[seen, 3:6]

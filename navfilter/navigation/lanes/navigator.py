@@ -290,7 +290,13 @@ class LaneNavigator(Running):
                 note = run.filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
                 foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
-                self.choice.hear(i, sensor, reading.time_s, *foretold, run.filter.watch.lost(run.filter.memory.watch))
+                self.choice.hear(
+                    i,
+                    sensor,
+                    reading.time_s,
+                    *foretold,
+                    run.filter.monitor.is_lost(run.filter.memory.monitor),
+                )
             if run is believed:
                 result = outcome
         assert result is not None
@@ -392,7 +398,10 @@ class LaneNavigator(Running):
             condition = "in-force" if i == memory.lane else "doubted" if memory.doubted[i] else "ready"
             if name in self._units and self.time_s - run.time_s > AHEAD_S:
                 condition = "silent"
-            yield name, LaneHealth(condition, gain[i], run.filter.watch.conditions(run.filter.memory.watch), nis[i])
+            yield (
+                name,
+                LaneHealth(condition, gain[i], run.filter.monitor.conditions(run.filter.memory.monitor), nis[i]),
+            )
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

@@ -186,7 +186,7 @@ class _Lane:
     def _left_out(self) -> set[str]:
         """Axes of its unit that something else stands in for, now."""
         filter = self.nav.filter
-        return set(filter.watch.left_out(filter.memory.watch))
+        return set(filter.monitor.left_out(filter.memory.monitor))
 
     def _carried(self) -> tuple[list[float], list[bool]]:
         """From when on [s] something stood in for an axis of its unit, and from when on nothing."""

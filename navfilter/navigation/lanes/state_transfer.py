@@ -81,13 +81,11 @@ def transplant(source: Filter, target: Filter) -> Transplant:
         acc=np.vstack([np.eye(layout.head), np.zeros((3 * layout.head, layout.head))]),
         drv=in_force.drive.memory(layout.drive.errors, target.start),
         recent=np.zeros_like(own.recent),
-        watch=own.watch.copy(),
-        jumps=target.jumps.fresh(layout, target.channels, given.time_s),
         intake=copied(own.intake),
         channels=copied(channels),
         models=tuple((drives | {k: e for k, e in models.items() if k in target.channels}).items()),
         counts=dict(own.counts),
     )
     memory.intake.before_s = given.time_s
-    target.watch.refer(memory.watch, memory.nav, memory.P)
+    memory.monitor = target.monitor.transferred(target, memory, layout, given)
     return Transplant(memory, layout, transition, M)

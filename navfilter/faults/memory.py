@@ -1,0 +1,185 @@
+"""What the monitor remembers: of each sensor, of the inertial unit, and of silence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults.alternative_path import RefusedWay
+from navfilter.faults.dead_reckoning_compass import Reckoned
+from navfilter.faults.imu import bias_drift
+from navfilter.faults.imu.gyro_scale import Turns
+from navfilter.faults.imu.monitor import CONDITIONS
+from navfilter.faults.noise_scale import Scatter
+from navfilter.faults.refusals import Refusals
+from navfilter.faults.settings import UNDISPUTED_S
+from navfilter.faults.velocity_fault import Aside
+from navfilter.kernels import imu_checks
+
+__all__ = ["MonitorMemory", "SensorFaults"]
+
+Array = NDArray[np.float64]
+#: A sensor that has been refused for so long, and then used again, was wrong itself [s].
+DISPUTED_S = 3.0
+
+
+@dataclass
+class SensorFaults:
+    """What is remembered of the faults of one sensor.
+
+    Attributes
+    ----------
+    rejected_since_s : float
+        Since when its readings have been rejected without one that was used [s]; NaN when they have not.
+    refused_speed : float
+        Of the vehicle when that began [m/s].
+    agreed_s : float
+        Since when it has agreed with the state: NaN before, and after the state was reset to it [s].
+    refused : Refusals or None
+        What the readings that have been refused since say together.
+    ramp : tuple of float
+        Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
+    way : RefusedWay or None
+        Of a velocity that has been refused since the last fix: the way that it would have made beside the state's.
+    refused_s : float
+        When its last reading was refused [s].
+    disputed_s, jumped_s : float
+        When it was last refused for long although the drive was right, and when it was taken to have jumped [s].
+    astray_m : float
+        Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
+        periods of those that were heard; NaN where it is not so [m].
+    aside : Aside or None
+        Of a velocity that has jumped by about itself.
+    alone : tuple of float
+        Of a compass to which the heading was set against what was believed before, until something else confirms that:
+        by how much at most [rad], latitude and longitude then [rad].
+    beat : tuple of float
+        Of fixes that the state was set to against what was believed before: by how much [m], and when last [s].
+    course : tuple of float
+        Of a compass that fixes have contradicted: variance to which they have told the heading [rad^2], that of one of
+        them [m^2], latitude and longitude then [rad]; until the compass is back.
+    scatter : Scatter or None
+        Of one of which several readings have been refused of late: how they scatter.
+    reckoned : Reckoned or None
+        Of fixes that are refused beside dead reckoning without an inertial unit: their way, and its.
+    turns : Turns or None
+        Of a compass that was refused: what it said of the gyros.
+    partly_since_s : float
+        Since when components of each reading are left out alone (`Sensor.single_s`); NaN where they are not [s].
+    same_s, again_s : float
+        Since when its value has been the same, and when it came again last [s].
+    either : bool
+        Of a depth gauge with a constant: that may as well be the state's (`heights`).
+    """
+
+    rejected_since_s: float = math.nan
+    refused_speed: float = 0.0
+    agreed_s: float = math.nan
+    refused: Refusals | None = None
+    ramp: tuple[float, ...] = ()
+    way: RefusedWay | None = None
+    refused_s: float = -math.inf
+    disputed_s: float = -math.inf
+    jumped_s: float = -math.inf
+    astray_m: float = math.nan
+    aside: Aside | None = None
+    alone: tuple[float, ...] = ()
+    beat: tuple[float, ...] = ()
+    course: tuple[float, ...] = ()
+    scatter: Scatter | None = None
+    reckoned: Reckoned | None = None
+    turns: Turns | None = None
+    partly_since_s: float = math.nan
+    same_s: float = math.nan
+    again_s: float = math.nan
+    either: bool = False
+
+    @property
+    def agrees(self) -> bool:
+        """Whether it is used, and was before: then another that is used says nothing new."""
+        return math.isnan(self.rejected_since_s) and not math.isnan(self.agreed_s)
+
+    @property
+    def undisputed(self) -> bool:
+        """Whether it was right for long, until it was refused last."""
+        return not self.rejected_since_s - self.disputed_s <= UNDISPUTED_S
+
+    @property
+    def astray(self) -> bool:
+        """Whether its slow error came to be beyond belief, and no reading has agreed with the state since."""
+        return not math.isnan(self.astray_m)
+
+    @property
+    def set_aside(self) -> bool:
+        """Whether it has jumped by about the velocity itself, see `navfilter.faults.velocity_fault`."""
+        return self.aside is not None
+
+    @property
+    def scatters(self) -> bool:
+        """Whether it seems to scatter by more than its error model says: each of its readings is heard."""
+        return self.scatter is not None and self.scatter.watched
+
+    def contested(self, offset: bool) -> bool:
+        """Whether more is doubted of it than its last readings and its noise; offset: it has a state of a fault."""
+        since = bool(self.alone) or self.partly_since_s > -math.inf or self.astray
+        return since or offset or (self.scatter is not None and self.scatter.worthless)
+
+    def doubted(self, offset: bool) -> bool:
+        """Whether its next reading is Python's to judge, live."""
+        return self.contested(offset) or self.scatters or self.refused is not None
+
+    def condition(self, offset: bool) -> str:
+        """What has been found of its errors; empty for nothing."""
+        return "astray" if self.astray else "jumped" if offset else ""
+
+    def use(self, time_s: float) -> None:
+        """Note that a reading of this time has been used."""
+        if time_s - self.rejected_since_s >= DISPUTED_S:
+            self.disputed_s = time_s
+        self.rejected_since_s, self.refused, self.astray_m = math.nan, None, math.nan
+        self.partly_since_s = math.nan
+        if math.isnan(self.agreed_s):
+            self.agreed_s = time_s
+
+
+@dataclass
+class MonitorMemory:
+    """Everything that changes in a monitor.
+
+    Attributes
+    ----------
+    imu : ndarray, shape (7, 22) or (0, 22)
+        What is known of the axes of the inertial unit, see `navfilter.kernels.imu_checks`.
+    bias_glr : ndarray, shape (4, J + 2, n + 3) or (0, J + 2, n + 3)
+        What is known of jumps of its biases, see `navfilter.kernels.bias_glr`.
+    channels : dict of str to SensorFaults
+    bias_drift : ndarray, shape (16, 13)
+        What the biases of its gyros were at the last looks, see `navfilter.faults.imu.bias_drift`.
+    silent : tuple of float
+        Where nothing is heard, be it of the drive or of a sensor: since when [s], and the variances of the position
+        then, north, east and down [m^2]. Else empty.
+    """
+
+    imu: Array
+    bias_glr: Array
+    channels: dict[str, SensorFaults]
+    bias_drift: Array = field(default_factory=bias_drift.fresh)
+    silent: tuple[float, ...] = ()
+
+    def problem(self) -> str | None:
+        """What is wrong with the values of one that came from outside, in words; None when nothing is."""
+        codes = self.imu[:6, [imu_checks.CODE, imu_checks.HEEDED]]
+        if not np.isin(codes, range(len(CONDITIONS))).all():
+            return "the drive's axes are in conditions that do not exist"
+        alone = [channel.alone for channel in self.channels.values() if channel.alone]
+        if any(len(told) != 3 or not all(type(v) is float for v in told) for told in alone):
+            return "what a heading told alone is not an angle and a place"
+        beat = [channel.beat for channel in self.channels.values() if channel.beat]
+        if any(len(told) != 2 or not all(type(v) is float for v in told) for told in beat):
+            return "what fixes have beaten is not a distance and a time"
+        if self.silent and (len(self.silent) != 4 or not all(type(v) is float for v in self.silent)):
+            return "what was known before nothing was heard is not a time and three variances"
+        return None

@@ -1,0 +1,199 @@
+"""The monitor of the navigator: judges every reading and every sample, and remembers what it has found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.faults import noise_scale, policy, sensor_bias, velocity_fault
+from navfilter.faults.imu import bias_drift, realignment
+from navfilter.faults.imu.bias_glr import JumpWatch
+from navfilter.faults.imu.monitor import COUNTED, DriveWatch
+from navfilter.faults.memory import MonitorMemory, SensorFaults
+from navfilter.filter.actions import Action
+from navfilter.filter.events import Event
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.model_change import Change
+from navfilter.filter.monitor import Actions, FilterState
+from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.state_layout import Group, Layout
+from navfilter.foundation.state_values import copied
+from navfilter.kernels import batch
+from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.vehicle import Vehicle
+
+__all__ = ["FaultMonitor"]
+
+Array = NDArray[np.float64]
+#: A vehicle that has moved by more than so many standard deviations has moved [1].
+STILL_SDS = 3.0
+
+
+class FaultMonitor:
+    """Judges readings by `navfilter.faults.policy`, and samples by `navfilter.faults.imu`.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Attributes
+    ----------
+    imu_monitor : DriveWatch
+        Of the samples of the inertial unit.
+    glr : JumpWatch
+        Of jumps of its biases.
+    changes : list of Change
+        Error models of sensors that have jumped or gone astray, to be adopted before the next input.
+    slope : float or None
+        A velocity sensor has been left behind by the unit, see `acceleration.accused`.
+    is_tilted : bool
+        Attitude and velocity are to be set anew before the next input, see `realignment.tilted`.
+    """
+
+    counted = COUNTED
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.imu_monitor, self.glr = DriveWatch(vehicle.drive), JumpWatch(vehicle.drive)
+        self.sample_limits, self.cross_checks = self.imu_monitor.limits, self.glr.active
+        self.changes: list[Change] = []
+        self.slope: float | None = None
+        self.is_tilted = False
+        self._gyros: tuple[Group | None, Array] = (None, np.zeros((3, 0)))
+
+    def fresh(self, filter: FilterState, memory: FilterMemory) -> MonitorMemory:
+        """Its memory before the first input."""
+        imu = self.imu_monitor.fresh()
+        self.imu_monitor.refer(imu, memory.nav, memory.P)  # what is unknown weighs by it
+        channels = {name: SensorFaults() for name in filter.channels}
+        return MonitorMemory(imu, self.glr.fresh(filter.layout, filter.channels, memory.time_s), channels)
+
+    def recall(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> None:
+        """Let every channel have what is remembered of its sensor."""
+        for name, channel in channels.items():
+            channel.faults = memory.channels[name]
+
+    def problem(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> str | None:
+        """What is wrong with a memory that came from outside, in words; None when nothing is."""
+        for name, channel in channels.items():
+            scatter = memory.channels[name].scatter
+            if scatter is not None and not scatter.is_of(channel.axes):
+                return f"what is kept of the noise of {name} is not laid out as this vehicle's"
+        return memory.problem()
+
+    def gyros(self, filter: FilterState) -> Array:
+        """What is known of the gyros of the inertial unit, see `navfilter.kernels.bias_drift`."""
+        group = filter.layout.drive
+        if self._gyros[0] is not group:
+            self._gyros = group, bias_drift.gyros(group, filter.period_s)
+        return self._gyros[1]
+
+    def transferred(
+        self, filter: FilterState, memory: FilterMemory, layout: Layout, given: FilterMemory
+    ) -> MonitorMemory:
+        """Its memory where a filter begins anew from the state of another one, with these states."""
+        own = filter.memory.monitor
+        glr = self.glr.fresh(layout, filter.channels, memory.time_s)
+        channels = {name: given.monitor.channels.get(name, known) for name, known in own.channels.items()}
+        result = MonitorMemory(own.imu.copy(), glr, copied(channels))
+        self.imu_monitor.refer(result.imu, memory.nav, memory.P)
+        return result
+
+    # ---------------------------------------------------------------- measurements
+    def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
+        """Limits of the gate for a reading, and its white variances where they are not those of the error model."""
+        own, kept = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes), channel.faults
+        if kept.aside is not None or kept.scatter is not None:
+            own = own if own.size else channel.group.r
+            own = own if kept.aside is None else velocity_fault.variances(kept.aside, z, own)
+            own = own if kept.scatter is None else noise_scale.variances(kept.scatter, own)
+        return sensor_bias.limits(channel, z, time_s), own
+
+    def is_stale(self, filter: FilterState, channel: Channel, time_s: float) -> bool:
+        """Of a fix that has the value of the one before: whether the vehicle has moved on since, by more than its noise
+        and the velocity's could hide. Then the receiver is stuck, or it is no new fix.
+        """
+        kept, nav, P = channel.faults, filter.memory.nav, filter.memory.P
+        if channel.sensor.observes.corrects != "position" or channel.axes < 2:
+            return False
+        if kept.again_s != channel.memory.last_s:
+            kept.same_s = channel.memory.last_s
+        kept.again_s = time_s
+        slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
+        moved = STILL_SDS * math.sqrt(max(channel.white[0, 0], channel.white[1, 1]))
+        return bool(slow * (time_s - kept.same_s) > moved)
+
+    def judged(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
+        """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
+        (nis, dof, used), let_in = channel.verdict.tolist(), False
+        described = noise_scale.heard(filter, channel, time_s, frozen)
+        if used:
+            policy.used(filter, channel, time_s)
+        elif dof and math.isfinite(nis):
+            let_in = yield from policy.rejected(filter, channel, time_s, nis, int(dof), frozen)
+        return let_in, described
+
+    def pending(self, filter: FilterState) -> Actions:
+        """What refused readings have made necessary, before the next input."""
+        yield from policy.pending(filter)
+
+    # ---------------------------------------------------------------- the inertial unit
+    def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
+        """By how much samples are to differ from one to the next, shape (6,)."""
+        return self.imu_monitor.expected(drive, white)
+
+    def weigh(self, memory: MonitorMemory, C: Array, r: Array, output: Array) -> None:
+        """Write the error models of the axes as they are believed now to `output`."""
+        self.imu_monitor.weigh(memory.imu, C, r, output)
+
+    def rate_variance(self, memory: MonitorMemory, r: Array) -> Array:
+        """Variance of the angular rate as it is used for lever arms, shape (3,)."""
+        return self.imu_monitor.rate_variance(memory.imu, r)
+
+    def look(self, samples: Array, memory: MonitorMemory, sd: Array) -> int:
+        """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
+        return self.imu_monitor.look(samples, memory.imu, sd)
+
+    def stand_in(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
+        """Write values for samples that are missing."""
+        yield from self.imu_monitor.stand_in(samples, filter.memory, said_s)
+
+    def has_news(self, memory: MonitorMemory) -> bool:
+        """Whether something has been found in the samples."""
+        return self.imu_monitor.news(memory.imu)
+
+    def imu(self, filter: FilterState) -> Actions:
+        """Act on what has been found in the samples."""
+        memory = filter.memory
+        w = memory.monitor.imu
+        if not batch.heeded(w, memory.nav, memory.P, filter.period_s):
+            before = self.imu_monitor.lost(w)
+            yield from self.imu_monitor.heed(filter)
+            if before or self.imu_monitor.lost(w):
+                yield from realignment.after_fault(filter)
+
+    def is_lost(self, memory: MonitorMemory) -> bool:
+        """Whether something else stands in place of what an axis of the unit says."""
+        return self.imu_monitor.lost(memory.imu)
+
+    def left_out(self, memory: MonitorMemory) -> list[str]:
+        """Names of the axes that something else stands in for."""
+        return self.imu_monitor.left_out(memory.imu)
+
+    def carrier(self, memory: MonitorMemory) -> str:
+        """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
+        return self.imu_monitor.lane(memory.imu)
+
+    def conditions(self, memory: MonitorMemory) -> dict[str, str]:
+        """Condition of every axis in words; none where nothing is watched."""
+        return self.imu_monitor.conditions(memory.imu)
+
+    def silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
+        """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
+        yield from realignment.attend(filter, missing)
+
+    def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
+        """Take what the filter has done; value: of the reading."""
+        yield from self.glr.on_event(filter, event, value)

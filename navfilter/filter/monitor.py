@@ -1,0 +1,170 @@
+"""What a filter asks of whoever watches its sensors.
+
+`navfilter.faults.monitor.FaultMonitor` is the one of the navigator. A monitor reads the filter (`FilterState`), keeps
+its own memory, and changes the filter by actions only (`navfilter.filter.actions`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.filter.actions import Action
+from navfilter.filter.events import Event
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.records import Tape
+from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.state_layout import Layout
+from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.start import Start
+from navfilter.models.state import NavState
+from navfilter.models.vehicle import Vehicle
+
+__all__ = ["Actions", "FilterState", "Monitor"]
+
+Array = NDArray[np.float64]
+#: Actions that end with an answer.
+Actions = Generator[Action, None, Any]
+
+
+class FilterState(Protocol):
+    """A filter, as a monitor reads it; see `navfilter.filter.filter.Filter`."""
+
+    vehicle: Vehicle
+    start: Start
+    tape: Tape | None
+    memory: FilterMemory
+    layout: Layout
+    in_force: Vehicle
+    channels: dict[str, Channel]
+    monitor: Any
+    inertial: bool
+    period_s: float
+    drive_output: Array
+    bench: Array
+    plan: NDArray[np.int64]
+
+    @property
+    def state(self) -> NavState:
+        """The state with its covariance, now."""
+        ...
+
+
+class Monitor(Protocol):
+    """Judges measurements and samples of the inertial unit; what it remembers stands in `FilterMemory.monitor`.
+
+    Attributes
+    ----------
+    counted : tuple of str
+        What it counts, see `Count`.
+    sample_limits : ndarray
+        Limits of samples by axis, as kernels take them.
+    cross_checks : bool
+        It looks for jumps of the unit's biases, reading by reading.
+    """
+
+    counted: tuple[str, ...]
+    sample_limits: Array
+    cross_checks: bool
+
+    def fresh(self, filter: FilterState, memory: FilterMemory) -> Any:
+        """Its memory before the first input; that of the filter has none yet."""
+        ...
+
+    def recall(self, memory: Any, channels: Mapping[str, Channel]) -> None:
+        """Let every channel have what is remembered of its sensor, as `Channel.faults`."""
+        ...
+
+    def problem(self, memory: Any, channels: Mapping[str, Channel]) -> str | None:
+        """What is wrong with a memory that came from outside, in words; None when nothing is."""
+        ...
+
+    def transferred(self, filter: FilterState, memory: FilterMemory, layout: Layout, given: FilterMemory) -> Any:
+        """Its memory where a filter begins anew from the state of another one, with these states.
+
+        Parameters
+        ----------
+        filter : FilterState
+            As it was.
+        memory : FilterMemory
+            With which it begins anew; what the monitor remembers is not there yet.
+        layout : Layout
+        given : FilterMemory
+            Of the other one.
+        """
+        ...
+
+    # ---------------------------------------------------------------- measurements
+    def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
+        """Limits of the gate for a reading, see ``Channel.limits``; and its white variances, empty where they are those
+        of the error model.
+        """
+        ...
+
+    def is_stale(self, filter: FilterState, channel: Channel, time_s: float) -> bool:
+        """Whether a reading that has the value of the one before says nothing new."""
+        ...
+
+    def judged(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
+        """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
+        ...
+
+    def pending(self, filter: FilterState) -> Actions:
+        """What refused readings have made necessary, before the next input."""
+        ...
+
+    # ---------------------------------------------------------------- the inertial unit
+    def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
+        """By how much samples are to differ from one to the next, shape (6,)."""
+        ...
+
+    def weigh(self, memory: Any, C: Array, r: Array, output: Array) -> None:
+        """Write the error models of the axes as they are believed now to `output` (6, k + 1)."""
+        ...
+
+    def rate_variance(self, memory: Any, r: Array) -> Array:
+        """Variance of the angular rate as it is used for lever arms, shape (3,)."""
+        ...
+
+    def look(self, samples: Array, memory: Any, sd: Array) -> int:
+        """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
+        ...
+
+    def stand_in(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
+        """Write values for samples that are missing."""
+        ...
+
+    def has_news(self, memory: Any) -> bool:
+        """Whether something has been found in the samples."""
+        ...
+
+    def imu(self, filter: FilterState) -> Actions:
+        """Act on what has been found in the samples."""
+        ...
+
+    def is_lost(self, memory: Any) -> bool:
+        """Whether something else stands in place of what an axis of the unit says."""
+        ...
+
+    def left_out(self, memory: Any) -> list[str]:
+        """Names of the axes that something else stands in for."""
+        ...
+
+    def carrier(self, memory: Any) -> str:
+        """What carries the state: "inertial", or "dead-reckoning"."""
+        ...
+
+    def conditions(self, memory: Any) -> dict[str, str]:
+        """Condition of every axis in words; none where nothing is watched."""
+        ...
+
+    def silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
+        """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
+        ...
+
+    def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
+        """Take what the filter has done; value: of the reading."""
+        ...
