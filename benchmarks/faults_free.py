@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from typing import Any
 from unittest import mock
@@ -17,6 +17,7 @@ from harness import MAPPINGS, Options, Table, recorded
 
 import navfilter as nf
 from navfilter.faults import policy
+from navfilter.filter.actions import Action
 from navfilter.models.alignment import align
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -31,10 +32,15 @@ COLUMNS = f"mission<34 runs>4d {' '.join(f'{key}>7d' for key in COUNTED)} rms_m>
 @contextlib.contextmanager
 def without_agreement() -> Iterator[None]:
     """Readings are judged one by one, by their gates alone."""
+
+    def nothing(*_: object) -> Generator[Action, None, bool]:
+        yield from ()
+        return False
+
     with (
-        mock.patch.object(policy, "_agreed", lambda *_: False),
-        mock.patch("navfilter.filter.sensor_channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
-        mock.patch("navfilter.filter.sensor_channel.Channel.moved_on", lambda *_: False),
+        mock.patch.object(policy, "_agreed", nothing),
+        mock.patch("navfilter.filter.channel_model.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
+        mock.patch("navfilter.faults.monitor.FaultMonitor.is_stale", lambda *_: False),
     ):
         yield
 

@@ -301,7 +301,7 @@ def test_conditions_are_in_the_health(dive):
 def test_without_an_inertial_unit_its_two_parts_are_looked_at_and_no_axis_is_watched():
     vehicle, mission = simulate_scenario("reckoning", 1, 20.0)
     nav = nf.Navigator(vehicle, mission.start)
-    assert nav.health.axes == {"attitude": "good", "velocity": "good"} and nav.filter.memory.watch.shape == (
+    assert nav.health.axes == {"attitude": "good", "velocity": "good"} and nav.filter.memory.monitor.imu.shape == (
         0,
         kernel.COLUMNS,
     )

@@ -17,6 +17,7 @@ from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.diagnostics import doubts
 from navfilter.evaluation.fix_reacquisition import evidence
 from navfilter.evaluation.montecarlo.campaign import Campaign
+from navfilter.faults.monitor import FaultMonitor
 from navfilter.filter.filter import Filter
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import open_loop_residual
@@ -34,13 +35,17 @@ BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 # --- the measure ----------------------------------------------------------------------------------------------------
 
 
+def with_monitor(vehicle):
+    return Filter(vehicle, START, FaultMonitor(vehicle))
+
+
 def with_constants():
     plain = survey_vehicle()
     arm, bent = (0.1, 0.1, 0.05), (0.0, 0.01, 0.01)
     dvl = replace(
         plain.sensors["dvl"], scale_sd=0.01, misalignment_sd_rad=bent, lever_arm_sd_m=arm, time_offset_sd_s=0.05
     )
-    return Filter(replace(plain, sensors={**plain.sensors, "dvl": dvl}), START)
+    return with_monitor(replace(plain, sensors={**plain.sensors, "dvl": dvl}))
 
 
 def test_constants_are_those_with_a_prior_that_nothing_drives():
@@ -117,7 +122,7 @@ def test_what_constants_were_told_since_is_the_twins(k):
 def test_constants_that_nothing_tells_do_not_speak():
     filter = with_constants()
     assert departure(filter) == 0.0
-    assert departure(Filter(nf.Vehicle(filter.vehicle.drive, {}), START)) == 0.0
+    assert departure(with_monitor(nf.Vehicle(filter.vehicle.drive, {}))) == 0.0
 
 
 # --- the beginning done again as described --------------------------------------------------------------------------

@@ -155,7 +155,7 @@ def test_a_look_at_the_biases_does_not_ask_what_no_memory_holds():
             nav.correct("compass", time_s, 0.01 * (k % 7), sd=0.01 * (1 + k // 290 % 3))
         if k % 20 == 10:
             nav.correct("depth", time_s, 0.05)
-            looks.append(nav.filter.memory.shifts[-1, bias_drift.HEADING])
+            looks.append(nav.filter.memory.monitor.bias_drift[-1, bias_drift.HEADING])
             if len(set(looks[-2:])) == 2:
                 again.append(nf.Navigator.restore(vehicle, nav.snapshot()))
                 assert differences(again[-1].memory, nav.memory) == []

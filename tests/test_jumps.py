@@ -66,7 +66,7 @@ def test_the_kernels_and_their_twins(dive):
     ratios = []
 
     def look(nav, channel):
-        n, offset = nav.filter.layout.size, nav.filter.jumps._rows[channel.name]
+        n, offset = nav.filter.layout.size, nav.filter.monitor.glr._rows[channel.name]
         bank = np.random.default_rng(len(ratios)).normal(size=(16, n + 3))
         bank[:, -1] = 1.3
         args = channel.mem, channel.dims, channel.places, offset, len(ratios) % 3 != 0
@@ -94,12 +94,12 @@ def test_the_error_of_a_jump_is_what_two_filters_differ_by(dive):
     for m in (mission, mission.with_stream("imu", nf.Stream(stream.time_s, value))):
         nav = nf.Navigator(vehicle, m.start, history_s=0.0)
         feed(nav, m, begin_s)
-        for bank in nav.filter.memory.jumps:
-            nav.filter.jumps._begin(bank, nav.filter.layout)
-        nav.filter.jumps._begin = lambda bank, layout: None
+        for bank in nav.filter.memory.monitor.bias_glr:
+            nav.filter.monitor.glr._begin(bank, nav.filter.layout)
+        nav.filter.monitor.glr._begin = lambda bank, layout: None
         feed(nav, m, until_s, begin_s)
         runs.append(nav)
-    f = runs[1].filter.memory.jumps[0, 2, : runs[1].filter.layout.size]
+    f = runs[1].filter.memory.monitor.bias_glr[0, 2, : runs[1].filter.layout.size]
     # the samples since the last correction are not in f yet: none, for a compass reads at the end
     apart = runs[0].state.minus(runs[1].state)
     # the covariance follows the velocity that the bias makes, which is not in f either: 2 % of it
@@ -177,4 +177,4 @@ def test_a_snapshot_taken_while_left_out_goes_on_to_the_last_bit(dive):
     for one in (nav, again):
         feed(one, faulty, 90.0, 64.0)
     np.testing.assert_array_equal(nav.filter.P, again.filter.P)
-    np.testing.assert_array_equal(nav.filter.memory.jumps, again.filter.memory.jumps)
+    np.testing.assert_array_equal(nav.filter.memory.monitor.bias_glr, again.filter.memory.monitor.bias_glr)

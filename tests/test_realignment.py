@@ -198,7 +198,7 @@ def test_a_velocity_that_the_level_contradicts_sets_the_tilt_anew():
 
 def test_a_level_that_is_none_sets_nothing():
     nav, _ = filter_at_rest(10.0, 0.0)
-    watch = nav.filter.memory.watch
+    watch = nav.filter.memory.monitor.imu
     watch[3:6, kernel.MEAN] *= 1.3  # more than gravity
     realignment.set_anew(nav.filter, nav.told)
     watch[3:6, kernel.MEAN] /= 1.3

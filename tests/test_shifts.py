@@ -70,7 +70,7 @@ def test_dead_reckoning_is_not_looked_at():
     vehicle = reckoning_vehicle()
     mission = simulate(vehicle, survey(60.0), seed=1, duration_s=60.0)
     nav, _ = fly(vehicle, mission)
-    assert bias_drift.due_s(nav.filter) == math.inf and np.isnan(nav.filter.memory.shifts).all()
+    assert bias_drift.due_s(nav.filter) == math.inf and np.isnan(nav.filter.memory.monitor.bias_drift).all()
 
 
 def looks(sd=2.0, ends=1.0):
@@ -159,10 +159,10 @@ def test_a_state_that_is_set_anew_begins_the_looks_anew():
     nav = nf.Navigator(vehicle, dataclasses.replace(mission.start))
     feed(nav, vehicle, mission.between(0.0, 60.0))
     memory = nav.filter.memory
-    assert np.isfinite(memory.shifts[-5:]).all()
+    assert np.isfinite(memory.monitor.bias_drift[-5:]).all()
     memory.counts["realigned"] += 1
     feed(nav, vehicle, mission, until_s=71.0, after_s=60.0)
-    assert np.isfinite(memory.shifts[-1]).all() and np.isnan(nav.filter.memory.shifts[:-2]).all()
+    assert np.isfinite(memory.monitor.bias_drift[-1]).all() and np.isnan(nav.filter.memory.monitor.bias_drift[:-2]).all()
 
 
 def ramp(heading, extra, since=4, sd=0.01, seed=1):

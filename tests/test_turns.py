@@ -47,7 +47,7 @@ def test_it_is_used_again_once_it_turns_with_the_compass(dive):
     said = {}
     for event in events_of(vehicle, wrong):
         one_by_one(nav, [event])
-        said[math.floor(event.time_s)] = nav.filter.watch.conditions(nav.filter.memory.watch)["gyro_z"]
+        said[math.floor(event.time_s)] = nav.filter.monitor.conditions(nav.filter.memory.monitor)["gyro_z"]
     assert said[196] == "contradicted" and said[round(END_S) - 1] == "good"
     assert nav.counts["contradicted"] == 1
 

@@ -255,7 +255,7 @@ class Passage:
                 for change in self.nav.learning.learn(self._readings.names[self._readings.sensor[self.at - 1]]):
                     self.nav.filter.adopt(change, self.nav.told)
             if why in (kernels.LEARN, kernels.LOOK):
-                bias_drift.look(self.nav.filter)
+                self.nav.filter.act(bias_drift.look(self.nav.filter), self.nav.told)
         return kernels.NEXT if why in GOES_ON else why
 
     def _hearing(self) -> Hearing:
