@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.delayed_measurement import Sight
 from navfilter.filter.state_layout import Group
 from navfilter.kernels import delayed_state
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.models.fault_bias import deviations, has_offset, offset_states, proportions
 from navfilter.models.sensors import Observable, Sensor
+from navfilter.models.start import Start
 
-__all__ = ["MOST_SDS", "Described", "believed"]
+__all__ = ["MOST_SDS", "Described", "believed", "delayed_facts"]
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -40,10 +41,10 @@ class Described(NamedTuple):
     offset : bool
         It has jumped.
     kernels : tuple of int
-        Addresses of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked.
+        Addresses of its kernel and what goes with it, the drive's motion left out.
     offsets : ndarray of int
         Which of its error states are constants of a jump.
-    proportions, deviations : (ndarray, ndarray)
+    deviations : (ndarray, ndarray)
         See `navfilter.models.fault_bias`.
     limits : ndarray
         Of the gate, and the largest squares of the slow error that are still believed.
@@ -61,7 +62,6 @@ class Described(NamedTuple):
     offset: bool
     kernels: tuple[int, int, int, int]
     offsets: Places
-    proportions: tuple[Places, Array]
     deviations: tuple[Places, Array]
     limits: Array
     slow: list[float]
@@ -74,7 +74,7 @@ class Described(NamedTuple):
         sensor: Sensor,
         group: Group,
         variance: Array,
-        equation: tuple[Callable[..., None] | None, Sight | None],
+        equation: tuple[Callable[..., None], Array | None],
         constants: Array,
         gates: Array,
     ) -> Described:
@@ -84,28 +84,30 @@ class Described(NamedTuple):
         ----------
         sensor, group, variance
             As for `is_of`.
-        equation : (callable or None, Sight or None)
-            Its kernel, None where Python has to be asked; what that needs where its place or clock are states.
+        equation : (callable, ndarray or None)
+            Its kernel; what that needs where its place or clock are states (`delayed_facts`).
         constants, gates : ndarray
             Of the kernel; limits of the gate.
         """
         (kernel, sight), b, period_s = equation, group.ticking, 1.0 / sensor.rate_hz
-        offset, kernels = has_offset(sensor.models), (0, 0, 0, 0)
-        if kernel is not None and not offset:
-            seen = 0 if sight is None else address(delayed_state.sight, addresses.SIGHT)
-            bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
-            kernels = address(kernel, addresses.EQUATION), seen, 0, bent
+        seen = 0 if sight is None else address(delayed_state.sight, addresses.SIGHT)
+        bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
+        offset, kernels = has_offset(sensor.models), (address(kernel, addresses.EQUATION), seen, 0, bent)
         limits = np.concatenate([gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
-        facts = np.zeros(0) if sight is None else sight.facts
-        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts
+        facts = np.zeros(0) if sight is None else sight
+        axes_states, at_m_s = proportions(sensor.models, period_s)
+        deviating, of_rad = deviations(sensor.models, period_s)
+        faults = np.concatenate(
+            [[len(at_m_s), len(of_rad)], *zip(*axes_states, at_m_s, strict=True), *zip(deviating, of_rad, strict=True)]
+        )
+        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts, faults
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),
             offset_states(sensor.models, period_s),
-            proportions(sensor.models, period_s),
-            deviations(sensor.models, period_s),
+            (deviating, of_rad),
             limits,
             slow.diagonal().tolist(),
             np.concatenate([part.ravel() for part in parts]),
@@ -130,3 +132,19 @@ def believed(sensor: Sensor, group: Group) -> Array:
     variance = np.diag(group.C @ P0 @ group.C.T)
     most = np.where(np.arange(sensor.axes) < 2, MOST_SDS, MOST_SDS_UP)
     return np.where(variance > 0.0, most**2 * variance, np.inf)
+
+
+def delayed_facts(sensor: Sensor, start: Start) -> Array | None:
+    """What `navfilter.kernels.delayed_state.sight` needs to know of a sensor whose lever arm or clock are states
+    (`Sensor.place_and_clock`); None where they are not.
+    """
+    if not sensor.place_and_clock():
+        return None
+    clock, arm = sensor.time_offset_sd_s > 0.0, any(sensor.lever_arm_sd_m)
+    constants = np.asarray(sensor.constants(start))
+    by_arm = np.zeros((constants.size, 3))
+    for i, e in enumerate(np.eye(3) if arm else ()):
+        moved = tuple(float(a + b) for a, b in zip(sensor.lever_arm_b_m, e, strict=True))  # type: ignore[attr-defined]
+        by_arm[:, i] = np.asarray(replace(sensor, lever_arm_b_m=moved).constants(start)) - constants  # type: ignore[call-arg]
+    known = arm, clock, sensor.needs_rate or arm, max(1.0, delayed_state.LEFT_S * sensor.rate_hz)
+    return np.concatenate([np.array(known, dtype=np.float64), by_arm.ravel()])

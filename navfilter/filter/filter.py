@@ -19,10 +19,10 @@ from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
 from navfilter.filter.imu_intake import Intake
 from navfilter.filter.model_change import Adoption, Change, adoption
 from navfilter.filter.monitor import Actions, Monitor
-from navfilter.filter.python_update import asked, shared, update
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
+from navfilter.filter.workspace import shared
 from navfilter.foundation.arguments import needs
 from navfilter.kernels import batch, kalman, measurement, strapdown
 from navfilter.models.error_models import per_axis
@@ -326,13 +326,10 @@ class Filter:
         """Predict, gate and correct."""
         memory, channel.reading = self.memory, z
         channel.gate[:], own = self.monitor.gate(channel, z, sd, time_s)
-        if channel.spot[batch.EQUATION]:
-            batch.correction(
-                *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
-                *(memory.recent, z, own, channel.ticks(time_s), channel.lead_s + memory.time_s - time_s),
-            )
-        else:
-            asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)
+        batch.correction(
+            *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
+            *(memory.recent, z, own, channel.ticks(time_s), channel.lead_s + memory.time_s - time_s),
+        )
         memory.unfolded = 0
         channel.memory.last_s = time_s
         return self.concluded(channel, time_s, frozen, tell)
@@ -389,8 +386,7 @@ class Filter:
             case actions.Readmit(channel, residual):
                 memory.P[:] = 0.5 * (memory.P + memory.P.T)
                 channel.res[:] = residual
-                no_limits = np.full(channel.axes + 1, np.inf)
-                update(memory, channel, channel.C, channel.R, no_limits, self.drive_output)
+                self._readmit(channel, channel.C, channel.R)
             case actions.Fold():
                 if memory.unfolded:
                     tell(self._fold())
@@ -469,6 +465,12 @@ class Filter:
         self._row()
         tell(Relaid(M, anew=True))
 
+    def _readmit(self, channel: Channel, C: Array, R: Array) -> None:
+        """Correct by the residual and Jacobian that stand in a channel, with these errors, without a gate."""
+        memory = self.memory
+        state = memory.P, memory.nav, memory.x, memory.drv
+        batch.readmission(self.bench, channel.spot, *state, self.drive_output, C, R)
+
     def _turn_heading(self, compass: Channel, angle: float, variance: float) -> None:
         """Turn the heading by an angle of this variance, as by a reading of the compass.
 
@@ -501,8 +503,7 @@ class Filter:
             reading = np.append(nav[6:15].reshape(3, 3).T @ field, math.nan)
         compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
         compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
-        nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
-        update(memory, compass, nothing, variance * np.eye(a), open_gate, self.drive_output)
+        self._readmit(compass, np.zeros_like(compass.C), variance * np.eye(a))
         memory.unfolded = 0
         if tape is not None:
             tape.record(compass.record, a, compass.dims)

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.channel_memory import ChannelMemory
-from navfilter.filter.channel_model import MOST_SDS, Described
-from navfilter.filter.delayed_measurement import Sight
+from navfilter.filter.channel_model import Described, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.kernels import batch, delayed_state, kalman, measurement
+from navfilter.kernels import batch, delayed_state, kalman
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
@@ -52,12 +51,10 @@ class Channel:
         fixes = sensor.observes is Observable.FIX  # none for longer than this: it has dived [s]
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
-        self.sight, self.lead_s = Sight(sensor, start) if sensor.place_and_clock() else None, sensor.lead_s
+        self._delayed, self.lead_s = delayed_facts(sensor, start), sensor.lead_s
         self.past_s = (
             self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + delayed_state.WINDOW_S * any(sensor.lever_arm_sd_m)
         )
-        # kernels of a user's own are asked by Python: what they raise is to be seen
-        self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
         self.moves, self.turns = sensor.observes.in_body_axes, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.held = sensor.held()
@@ -94,7 +91,7 @@ class Channel:
         known = (one for one in (self._described, self._foreseen) if one and one.is_of(sensor, group, variance))
         self._described = own = next(known, None) or self._describe(sensor, group, variance)
         self.offset, self.limits, self.slow, self.facts = own.offset, own.limits, own.slow, None
-        self._proportions, self.deviations, self.offsets = own.proportions, own.deviations, own.offsets
+        self.deviations, self.offsets = own.deviations, own.offsets
         turned = -layout.current_of(self.name)
         if sensor.deviation is not None:
             turned = group.start + group.errors + sensor.deviation
@@ -109,8 +106,7 @@ class Channel:
         self._foreseen = self._describe(vehicle.sensors[self.name], layout.groups[self.name], variance)
 
     def _describe(self, sensor: Sensor, group: Group, variance: Array) -> Described:
-        kernel, constants = (self.kernel, self.constants) if self.known else (None, np.zeros(0))
-        return Described.of(sensor, group, variance, (kernel, self.sight), constants, self._gates)
+        return Described.of(sensor, group, variance, (self.kernel, self._delayed), self.constants, self._gates)
 
     def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
         """Work from now on in a part of an array that all channels share.
@@ -144,8 +140,6 @@ class Channel:
         self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)
-        # a reading of the past depends on the drive's states, too
-        self.into = self.H[:, 9:m], self.near, self.res, self.R
         self.gate = bench[ends[7] : ends[8]]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]
@@ -160,10 +154,9 @@ class Channel:
             (self.moves, self.turns, (self.sensor.observes is Observable.RATE)),
             self.partly_for_s < math.inf,
         )
-        asked = own.kernels if self.known else (0, 0, 0, 0)
         north = -1 if self.sensor.observes.north is None else self.sensor.observes.north
-        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False
-        self.spot = np.array([*self.dims.tolist(), *asked, *is_so, *starts, *more], dtype=np.int64)
+        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False, ends[9] if self.offset else 0
+        self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 
     def turns_by(self, rate_variance: Array) -> None:
@@ -173,11 +166,6 @@ class Channel:
             self._turned = variance
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
-
-    def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
-        """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
-        self.into[0][:] = outputs[:3]
-        return z - errors[:3]
 
     @property
     def memory(self) -> ChannelMemory:
@@ -208,19 +196,6 @@ class Channel:
         self.memory.used_s = time_s
         self.faults.use(time_s)
 
-    def in_proportion(self, z: Array, nav: Array, x: Array) -> None:
-        """Let the errors in proportion to the speed, and those that go with the heading, be those of a reading as
-        predicted.
-        """
-        (axis, state), at_m_s = self._proportions
-        if len(axis):
-            self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
-            self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
-        state, of_rad = self.deviations
-        if len(state):
-            # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
-            self.C[self.sensor.observes.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
-
     def coloured_error(self, x: Array) -> Array:
         """The coloured error that its readings are thought to have, shape (axes,); x: (n - 9,) error states."""
         first = self.group.start - 9
@@ -233,22 +208,10 @@ class Channel:
             return False
         return any(error * error > limit for error, limit in zip(self.coloured_error(x).tolist(), limits, strict=True))
 
-    def is_calm(self, x: Array) -> bool:
-        """Whether the estimate of its coloured error is within one standard deviation."""
-        return bool(np.all(self.coloured_error(x) ** 2 <= self.limits[self.axes + 1 :] / MOST_SDS**2))
-
     def jumped_by(self, x: Array) -> Array:
         """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""
         states = self.offsets
         return np.asarray(self.C[:, states] @ x[self.group.start - 9 + states])
-
-    def unwrap(self, x: Array) -> None:
-        """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
-        if self.sensor.observes.north is not None:
-            error = self.C @ x[self.group.start - 9 :][: self.group.errors]
-            own = self.res - error
-            self.wrap(own)
-            self.res[:] = own + error
 
     def wrap(self, residual: Array) -> None:
         """Bring the difference of two headings within half a turn, in place."""

@@ -49,13 +49,14 @@ UNSURE_HEADING = 0.01
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
 # how long the record for the smoother is; whether a reading of which components are left out is Python's to judge; from
 # which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
-# parameters may be hidden by the state's error; whether nobody wants to know its transitions. One more row is for the
+# parameters may be hidden by the state's error; whether nobody wants to know its transitions; where the table of its
+# fault states stands (0: none), see `_fault_states`. One more row is for the
 # drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three, in MEM its work
 # space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
-VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, UNHEARD, PLAN = range(26, 35)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, UNHEARD, FAULTS, PLAN = range(26, 36)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -122,6 +123,119 @@ def _white(sources):
                 R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
 
     return _white
+
+
+@_keyed
+def _corrected(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
+        """`kalman.update` by residual and Jacobian as they stand in working memory, and what keeps it consistent.
+
+        C (a, errors), R (a, a): of the coloured and the white error; moves: it reads a whole velocity through the
+        heading; limits: of the gate. What turns with the heading does so whatever the estimate becomes; constants that
+        the state's error would tell too much of are held back.
+        """
+        _ = sources
+        dims = spot[:8]
+        a, n, m, start, errors, parameters = dims[0], dims[1], dims[2], dims[4], dims[5], dims[6]
+        mem = bench[spot[MEM] : spot[CONSTANTS]]
+        places = kalman.places(dims)
+        timed = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.CLOCK] != 0.0
+        H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
+        near, res = shaped(mem[places[7] : places[8]], a, 9 + parameters), mem[places[3] : places[3] + a]
+        slopes = spot[HELD_TO] - spot[HELD]
+        velocity = nav[3], nav[4], nav[5]
+        turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
+        if spot[NORTH] >= 0:
+            mem[places[8] + 3 + 2 * a + NORTH_WHITE] = R[spot[NORTH], spot[NORTH]]
+        # constants that may be told too much: a lever arm's, the sensor's own, the unit's
+        has_arm = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.ARM] != 0.0
+        by_arm, elements = parameters - 3 - int(timed), int(drv[strapdown.CALIBRATED])
+        arm, hidden, unit = start + errors + by_arm, start + errors + spot[HELD], m - elements
+        arm_kept = scratch(np.float64, int(4), delayed_state.lanes(int(3)))
+        hidden_kept = scratch(np.float64, 1 + slopes, delayed_state.lanes(slopes))
+        unit_kept = scratch(np.float64, 1 + elements, delayed_state.lanes(elements))
+        if has_arm:
+            delayed_state.keep_constants(P, x, arm, arm_kept)
+        if spot[HIDDEN]:
+            delayed_state.keep_constants(P, x, hidden, hidden_kept)
+        if elements:
+            delayed_state.keep_constants(P, x, unit, unit_kept)
+        kalman.update(P, nav, x, C, R, mem, dims, limits)
+        change = mem[places[4] + 1 : places[5]]
+        for i in range(5):
+            change[i] = 0.0
+        if mem[places[8] + 2] != 0.0:
+            if moves:
+                drv[strapdown.OWN] = 2.0 if dims[7] < 0 else 1.0
+            if moves or turns:
+                kalman.turn_velocity(P, nav, velocity, change)
+                if dims[7] < 0:
+                    kalman.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
+            elif drv[strapdown.INERTIAL] != 0.0 and drv[strapdown.OWN] == 0.0:
+                kalman.turn_tilts(P, shaped(mem[places[1] : places[2]], n, a), res, change[3:])
+        if mem[places[8] + 2] != 0.0:
+            K = shaped(mem[places[1] : places[2]], n, a)
+            if has_arm:
+                delayed_state.withhold(P, x, near, arm_kept, by_arm, arm, drv, Cr, spare[:3])
+            if spot[HIDDEN]:
+                delayed_state.withhold_hidden(P, x, H, K, hidden_kept, hidden, spare[:slopes])
+            if elements:
+                delayed_state.withhold_hidden(P, x, H, K, unit_kept, unit, spare[:elements])
+
+    return _corrected
+
+
+@_keyed
+def readmission(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
+        """Correct by the residual and Jacobian of the reading that was refused last, without a gate."""
+        _ = sources
+        a, mem = spot[0], bench[spot[MEM] : spot[CONSTANTS]]
+        res, limits = mem[kalman.places(spot[:8])[3] :], scratch(np.float64, int(1), a + 1)
+        seen = 0
+        for i in range(a):
+            seen += math.isfinite(res[i])
+        for i in range(a + 1):
+            limits[0, i] = math.inf
+        _corrected(bench, spot, P, nav, x, drv, Cr, C, R, spot[MOVES] != 0 and seen >= 3, flat(limits))
+
+    return readmission
+
+
+@_keyed
+def _fault_states(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def _fault_states(table, z, nav, x, start, north, C, near, res):
+        """Let errors in proportion to the speed, and those that go with the heading, be those of a reading as foretold.
+
+        table: how many of each there are; then, of each error in proportion, its axis, its state and the speed at which
+        it is the error; and of each deviation its state and the heading at which it is the error. The residual of a
+        heading comes within half a turn of its error.
+        """
+        _ = sources
+        scaled, deviating = int(table[0]), int(table[1])
+        for j in range(scaled):
+            axis, state, at_m_s = int(table[2 + 3 * j]), int(table[3 + 3 * j]), table[4 + 3 * j]
+            predicted = z[axis] - res[axis]
+            C[axis, state] = 0.0 if math.isnan(predicted) else predicted / at_m_s
+            factor = 1.0 + x[start - 9 + state] / at_m_s
+            for i in range(9):
+                near[axis, i] *= factor
+        for j in range(deviating):
+            # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
+            state, of_rad = int(table[2 + 3 * scaled + 2 * j]), table[3 + 3 * scaled + 2 * j]
+            C[north, state] = math.cos(math.atan2(nav[9], nav[6]) - of_rad)
+        if north >= 0:
+            error = 0.0
+            for j in range(C.shape[1]):
+                error += C[north, j] * x[start - 9 + j]
+            res[north] = (res[north] - error + math.pi) % (2.0 * math.pi) - math.pi + error
+
+    return _fault_states
 
 
 @_keyed
@@ -200,9 +314,11 @@ def correction(sources):
                 turned = max(turned, bench[spot[LEVER_NOISE] + i * a + i])
             measurement.hold_slopes(P, near, held, spot[HELD], start + errors, turned)
         moves = spot[MOVES] != 0 and measurement.hold_unread(P, near, res, start + errors)
+        C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
+        if spot[FAULTS]:
+            _fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res)
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
-        C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
         limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True
         for i in range(a):
             error = 0.0
@@ -216,44 +332,7 @@ def correction(sources):
             limits = spare[: a + 1]
             for i in range(a + 1):
                 limits[i] = -1.0 if i else math.inf
-        velocity = nav[3], nav[4], nav[5]
-        turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
-        if spot[NORTH] >= 0:
-            mem[places[8] + 3 + 2 * a + NORTH_WHITE] = R[spot[NORTH], spot[NORTH]]
-        # constants that may be told too much: a lever arm's, the sensor's own, the unit's
-        has_arm = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.ARM] != 0.0
-        by_arm, elements = parameters - 3 - int(timed), int(drv[strapdown.CALIBRATED])
-        arm, hidden, unit = start + errors + by_arm, start + errors + spot[HELD], m - elements
-        arm_kept = scratch(np.float64, int(4), delayed_state.lanes(int(3)))
-        hidden_kept = scratch(np.float64, 1 + slopes, delayed_state.lanes(slopes))
-        unit_kept = scratch(np.float64, 1 + elements, delayed_state.lanes(elements))
-        if has_arm:
-            delayed_state.keep_constants(P, x, arm, arm_kept)
-        if spot[HIDDEN]:
-            delayed_state.keep_constants(P, x, hidden, hidden_kept)
-        if elements:
-            delayed_state.keep_constants(P, x, unit, unit_kept)
-        kalman.update(P, nav, x, C, R, mem, dims, limits)
-        change = mem[places[4] + 1 : places[5]]
-        for i in range(5):
-            change[i] = 0.0
-        if mem[places[8] + 2] != 0.0:
-            if moves:
-                drv[strapdown.OWN] = 2.0 if dims[7] < 0 else 1.0
-            if moves or turns:
-                kalman.turn_velocity(P, nav, velocity, change)
-                if dims[7] < 0:
-                    kalman.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
-            elif drv[strapdown.INERTIAL] != 0.0 and drv[strapdown.OWN] == 0.0:
-                kalman.turn_tilts(P, shaped(mem[places[1] : places[2]], n, a), res, change[3:])
-        if mem[places[8] + 2] != 0.0:
-            K = shaped(mem[places[1] : places[2]], n, a)
-            if has_arm:
-                delayed_state.withhold(P, x, near, arm_kept, by_arm, arm, drv, Cr, spare[:3])
-            if spot[HIDDEN]:
-                delayed_state.withhold_hidden(P, x, H, K, hidden_kept, hidden, spare[:slopes])
-            if elements:
-                delayed_state.withhold_hidden(P, x, H, K, unit_kept, unit, spare[:elements])
+        _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits)
 
     return correction
 

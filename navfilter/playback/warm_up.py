@@ -148,7 +148,7 @@ def _compile_prompt() -> None:
     """What takes a single reading or sample live, and what is asked now and then."""
     from numba import config
 
-    from navfilter.kernels import batch, kalman, noise_scale, open_loop_residual
+    from navfilter.kernels import batch, noise_scale, open_loop_residual
     from navfilter.kernels.compiling import addresses
 
     settings: Any = config
@@ -158,10 +158,7 @@ def _compile_prompt() -> None:
         noise_scale.heard.compile(addresses.SCATTERED)
         open_loop_residual.is_within.compile(addresses.WITHIN)
         open_loop_residual.told_since.compile(addresses.TOLD_SINCE)
-        kalman.turns_along.compile(addresses.ALONG)
-        kalman.turn_velocity.compile(addresses.TURN)
-        kalman.turn_tilts.compile(addresses.TURN_TILTS)
-        kalman.turn_current.compile(addresses.TURN_CURRENT)
+        batch.readmission.compile(addresses.READMISSION)
 
 
 def _warm_learner() -> None:

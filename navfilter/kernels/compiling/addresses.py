@@ -12,14 +12,13 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 __all__ = [
-    "ALONG",
     "PROMPT",
+    "READMISSION",
     "SAMPLE",
     "SCATTERED",
     "SMOOTH_RUN",
     "STRETCH",
     "TOLD_SINCE",
-    "TURN",
     "WITHIN",
     "address",
     "at_bend",
@@ -89,11 +88,8 @@ SCATTERED = (
     *(_ROW, _ROW, _ROW, types.int64, types.int64, _TABLE, types.int64, _TABLE, _ROW, _TABLE),
     *(types.float64, types.boolean),
 )
-#: The same for `navfilter.kernels.kalman.turns_along`, `turn_velocity`, `turn_tilts` and `turn_current`.
-ALONG = (_TABLE, types.float64, types.float64)
-TURN = (_TABLE, _ROW, types.UniTuple(types.float64, 3), _ROW)
-TURN_TILTS = (_TABLE, _TABLE, _ROW, _ROW)
-TURN_CURRENT = (_TABLE, _TABLE, _ROW, types.int64)
+#: The same for `navfilter.kernels.batch.readmission`.
+READMISSION = (_ROW, _PLACES, _TABLE, _ROW, _ROW, _ROW, _TABLE, _TABLE, _TABLE)
 #: The same for `navfilter.kernels.kalman.smooth_run`.
 SMOOTH_RUN = (
     *(_TABLE, _ROW, _ROW, _PLACES, _MATRIX_OF_PLACES, _ROW, _PLACES, _PLACES, types.int64, types.int64),
