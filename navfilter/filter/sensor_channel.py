@@ -178,15 +178,6 @@ class Channel:
         memory.last = self._last
         self._memory = memory
 
-    @property
-    def times(self) -> tuple[float, float]:
-        """Of the last reading and the last tick [s]."""
-        return self._memory.last_s, self._memory.ticked_s
-
-    @times.setter
-    def times(self, times: tuple[float, float]) -> None:
-        self._memory.last_s, self._memory.ticked_s = times
-
     def has_dived(self, time_s: float) -> bool:
         """Whether no fix has been used for so long that the vehicle has dived."""
         return self.dive_s < time_s - self._memory.used_s < math.inf

@@ -71,13 +71,12 @@ MORE_RECENT = 512
 # feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
 LOOK_S = 11
-# Columns of `heard`, a row a channel: last reading, last tick, period, until when readings are the kernel's though some
-# have been refused, ticks of the last reading, how long readings wait.
-LAST_S, TICKED_S, CHANNEL_PERIOD_S, USUAL_S, TICKS, WAIT_S = range(6)
-# What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last (the
-# first two are columns of `heard`, too); white variance of the heading in its last reading; for how many ticks its
-# coloured error may have been beyond one sd.
-TAKEN_S, NORTH_WHITE, LET_GO, NOTED = 2, 3, 4, 5
+# Columns of `heard`, a row a channel: period, until when readings are the kernel's though some have been refused, ticks
+# of the last reading, how long readings wait.
+CHANNEL_PERIOD_S, USUAL_S, TICKS, WAIT_S = range(4)
+# What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last; white
+# variance of the heading in its last reading; for how many ticks its coloured error may have been beyond one sd.
+LAST_S, TICKED_S, TAKEN_S, NORTH_WHITE, LET_GO, NOTED = range(6)
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, most
 # components that one had, the last that had so many, how many have been used, and where the last of them was.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, FIGURES = range(11)
@@ -653,6 +652,17 @@ def _as_it_is(sources):
 
 
 @_keyed
+def _last_s(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _last_s(bench, own):
+        """When a channel was read last [s]; own: its row of `plan`."""
+        _ = sources
+        return bench[own[MEM] + own[VERDICT] + 3 + 2 * own[0] + LAST_S]
+
+    return _last_s
+
+
+@_keyed
 def _is_next(sources):
     @njit(cache=True, **UNCOUNTED)
     def _is_next(bench, plan, i, time_s, dive_s):
@@ -661,7 +671,7 @@ def _is_next(sources):
         """
         _ = sources
         for j in range(i, plan.shape[0] - 1):
-            last_s = bench[plan[j, MEM] + plan[j, VERDICT] + 3 + 2 * plan[j, 0] + LAST_S]
+            last_s = _last_s(bench, plan[j])
             if last_s == time_s or (j == i and last_s > time_s):
                 return False
         used_s = bench[plan[i, MEM] + plan[i, VERDICT] + 3 + 2 * plan[i, 0] + TAKEN_S]
@@ -671,9 +681,41 @@ def _is_next(sources):
 
 
 @_keyed
+def _taken(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _taken(bench, plan, own, state, drive, recent, reading, times):
+        """Take a reading: hold the drive until its time, then `correction`. Returns the ticks of its clock, and whether
+        it is used as a whole.
+
+        own: row of `plan`; state: nav, x, P, acc; drive: memory, Phi, Q and output rows of the drive; reading: as its
+        kernel takes it, and own variances; times: when it is taken, time of the state, how much later than its stamp a
+        reading may be taken, period of its clock [s]; and whether the drive is held.
+        """
+        _ = sources
+        (nav, x, P, acc), (drv, Phid, Qd, Cr), (z, variance) = state, drive, reading
+        time_s, now_s, wait_s, period_s, holds = times
+        spot = plan[plan.shape[0] - 1]
+        if holds:
+            early_s = time_s - now_s
+            addresses.at_hold(spot[HOLD], (nav, x[: acc.shape[1] - 9], drv, early_s, Phid, Qd, Cr, acc))
+            now_s = time_s
+        a, verdict = own[0], own[MEM] + own[VERDICT]
+        noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
+        elapsed = time_s - noted[TICKED_S]
+        count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / period_s)))
+        noted[LAST_S], noted[TICKED_S] = time_s, time_s
+        filter, given = (bench, own, P, nav, x, acc, drv, Cr, recent), (z, variance, count, wait_s + now_s - time_s)
+        addresses.at_correction(spot[CORRECTION], filter + given)
+        note = bench[verdict : verdict + 3 + a]
+        return count, note[2] != 0.0 and not (own[PARTLY] and _partly(note, a))
+
+    return _taken
+
+
+@_keyed
 def prompt(sources):
     @njit(cache=True, **UNCOUNTED)
-    def prompt(hand, recent, z, read, plain, time_s, early_s, kept_samples, kept_readings, kept_values):
+    def prompt(hand, recent, z, read, plain, time_s, now_s, kept_samples, kept_readings, kept_values):
         """One reading live, by the same kernels as those of a replay in `stretch`, and all that is noted of it:
         `REFUSED`, and nothing has been done, where its sensor has to be asked, it is not the next one, or a piece of
         what is kept is full; `JUDGED` where it was not used, and Python says what follows; else `DONE`, or `LEARN`.
@@ -707,10 +749,10 @@ def prompt(sources):
         cursor = flat(standing(hand, 18, np.int64))
         _ = sources
         i = int(facts[CHANNEL])
-        own, spot = plan[i], plan[plan.shape[0] - 1]
+        own = plan[i]
         if (plain and not _as_it_is(z, facts[LARGEST], read)) or not _is_next(bench, plan, i, time_s, facts[DIVE_S]):
             return REFUSED, 0.0, 0, 0.0
-        a, m, errors, verdict = own[0], acc.shape[1], own[5], own[MEM] + own[VERDICT]
+        a, errors, verdict = own[0], own[5], own[MEM] + own[VERDICT]
         noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
         if kept_readings >= 0:
             at, first = kept_readings % heads.shape[0], kept_values % heads.shape[0]
@@ -722,16 +764,15 @@ def prompt(sources):
             row[0], row[1], row[2], row[3] = time_s, facts[KEPT_AS], 0.0, 0.0
             row[4], row[5] = float(kept_samples), float(kept_values + z.size)
         figures[SAME], figures[SINCE_S] = 1.0, time_s
-        if early_s > SAME_S and drv[strapdown.STARTED] != 0.0:
-            addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
-            early_s = 0.0
-        elapsed = time_s - noted[TICKED_S]
-        count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / facts[TICK_S])))
-        noted[LAST_S], noted[TICKED_S] = time_s, time_s
-        filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (read, read[:0], count, -early_s)
-        addresses.at_correction(spot[CORRECTION], filter + reading)
+        holds = time_s - now_s > SAME_S and drv[strapdown.STARTED] != 0.0
+        state, drive, times = (
+            (nav, x, P, acc),
+            (drv, Phid, Qd, Cr),
+            (time_s, now_s, 0.0, facts[TICK_S], holds),
+        )
+        count, used = _taken(bench, plan, own, state, drive, recent, (read, read[:0]), times)
         note = bench[verdict : verdict + 3 + a]
-        if note[2] == 0.0 or (own[PARTLY] and _partly(note, a)):
+        if not used:
             facts[TICKED] = count
             return JUDGED, note[0], int(note[1]), 0.0
         noted[TAKEN_S] = time_s
@@ -816,21 +857,22 @@ def _scattered(sources):
 def look_at_biases(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
+    def look_at_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
         """A look at the biases of the gyros after a reading, see `navfilter.kernels.bias_drift.keep`.
 
-        heard: as in `stretch`, at least its first column; w: what the watch over the drive remembers; time_s: of the
-        state; now (COLUMNS,): receives the look, but for how often the attitude has been set anew, which stands there.
+        w: what the watch over the drive remembers; time_s: of the state; now (COLUMNS,): receives the look, but for how
+        often the attitude has been set anew, which stands there.
         """
         _ = sources
         latest_s, nis, dof, compass, calm = -math.inf, 0.0, 0.0, int(-1), True
-        for i in range(heard.shape[0]):
-            latest_s = max(latest_s, heard[i, LAST_S])
-            if compass < 0 and plan[i, NORTH] >= 0 and time_s - heard[i, LAST_S] < COMPASS_S:
+        for i in range(plan.shape[0] - 1):
+            last_s = _last_s(bench, plan[i])
+            latest_s = max(latest_s, last_s)
+            if compass < 0 and plan[i, NORTH] >= 0 and time_s - last_s < COMPASS_S:
                 compass = i
-        for i in range(heard.shape[0]):
+        for i in range(plan.shape[0] - 1):
             verdict = plan[i, MEM] + plan[i, VERDICT]
-            told = heard[i, LAST_S] > latest_s - LOOK_EVERY_S and math.isfinite(bench[verdict])
+            told = _last_s(bench, plan[i]) > latest_s - LOOK_EVERY_S and math.isfinite(bench[verdict])
             if told and bench[verdict + 1] != 0.0:
                 nis, dof = nis + bench[verdict], dof + bench[verdict + 1]
         now[bias_drift.TIME_S], now[bias_drift.LATITUDE], now[bias_drift.LONGITUDE] = latest_s, nav[0], nav[1]
@@ -930,28 +972,27 @@ def stretch(sources):
                 return FULL
             early_s, mine = t - now[TIME_S], heard[i]
             ahead_s = t - mine[WAIT_S] - now[SAMPLE_S]
-            if t <= mine[LAST_S] or early_s < -1.001 * period_s or ahead_s > settings[AHEAD_S]:
+            if t <= _last_s(bench, plan[i]) or early_s < -1.001 * period_s or ahead_s > settings[AHEAD_S]:
                 return REFUSED
             _seen(watched[i], t, same[e])
             holds = early_s <= 1.001 * period_s or mine[WAIT_S] == 0.0
-            if early_s > SAME_S and drv[strapdown.STARTED] != 0.0 and holds:
-                addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
-                now[TIME_S] = t
-            elapsed, mine[TICKED_S] = t - mine[TICKED_S], t
-            count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / mine[CHANNEL_PERIOD_S])))
+            holds = holds and early_s > SAME_S and drv[strapdown.STARTED] != 0.0
             own, variance = plan[i], variances[min(e, variances.shape[0] - 1)]
             verdict, a = own[MEM] + own[VERDICT], own[0]
             if scatters:
                 noise_scale.widen(kept[i], facts[i], variance, a)
                 variance = facts[i, noise_scale.BY_AXIS + 2 * a : noise_scale.BY_AXIS + 3 * a]
             recent = samples_before[cursor[NEWEST] : cursor[NEWEST] + known]
-            filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (values[e], variance, count)
-            addresses.at_correction(spot[CORRECTION], filter + reading + (mine[WAIT_S] + now[TIME_S] - t,))
+            times_of = t, now[TIME_S], mine[WAIT_S], mine[CHANNEL_PERIOD_S], holds
+            drive_of = drv, Phid, Qd, Cr
+            count, used = _taken(bench, plan, own, state, drive_of, recent, (values[e], variance), times_of)
+            if holds:
+                now[TIME_S] = t
             cursor[UNFOLDED] = 0
-            mine[LAST_S], mine[TICKS] = t, count
+            mine[TICKS] = count
             for j in range(3 + 2 * a):
                 notes[e, j] = bench[verdict + j]
-            if notes[e, 2] == 0.0 or (own[PARTLY] and _partly(notes[e], a)):
+            if not used:
                 return JUDGED
             if scatters:
                 notes[e, 0] = bench[verdict] = _scattered(bench, own, P, nav, Cr, t, kept[i], facts[i], drive[5])
@@ -965,7 +1006,7 @@ def stretch(sources):
                 cursor[READING] = e + 1
                 return LEARN
             if t >= settings[LOOK_S]:
-                if look_at_biases(bench, plan, heard, nav, x, P, drive[5], now[TIME_S], *looking):
+                if look_at_biases(bench, plan, nav, x, P, drive[5], now[TIME_S], *looking):
                     cursor[READING] = e + 1
                     return LOOK
                 settings[LOOK_S] = (math.floor(looking[2][bias_drift.TIME_S] / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S

@@ -283,9 +283,7 @@ class Passage:
         cursor = np.zeros(kernels.CURSOR, np.int64)
         cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
         cursor[kernels.STEPPED] = self._stepped
-        heard = np.array(
-            [(*c.times, c.period_s, _until_s(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
-        )
+        heard = np.array([(c.period_s, _until_s(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64)
         watched, scattered = np.array([watch.figures for watch in self._watches]), self._scattered()
         out, hearing, recent = self._output(cursor), self._hearing(), self._recent(memory.recent)
         cursor[kernels.NEWEST] = kernels.MORE_RECENT if len(recent) else 0
@@ -380,7 +378,7 @@ class Passage:
         judged = int(given.sensor[self.at]) if why == kernels.JUDGED else -1
         which, times = given.sensor[first_at : self.at], given.time_s[first_at : self.at]
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
-            channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
+            channel.count = int(heard[i, kernels.TICKS])
             mine = np.flatnonzero(which == i)
             if len(mine) or i == judged:
                 watch.caught_up(watched[i], given.value(self.at if i == judged else first_at + mine[-1]).tobytes())

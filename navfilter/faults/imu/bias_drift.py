@@ -102,13 +102,13 @@ def gyros(drive: Group, period_s: float) -> Array:
 def look(filter: FilterState) -> Iterator[Action]:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory = filter.memory
-    heard = [[channel.memory.last_s] for channel in filter.channels.values()]
-    if not heard or max(heard)[0] == -math.inf or max(heard)[0] < due_s(filter):
+    latest_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)
+    if latest_s == -math.inf or latest_s < due_s(filter):
         return
     looks, gyros, now = looking(filter)
     state = memory.nav, memory.x, memory.P
     if not batch.look_at_biases(
-        filter.bench, filter.plan, np.array(heard), *state, memory.monitor.imu, memory.time_s, looks, gyros, now
+        filter.bench, filter.plan, *state, memory.monitor.imu, memory.time_s, looks, gyros, now
     ):
         return
     g = filter.layout.drive
