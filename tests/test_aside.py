@@ -12,7 +12,7 @@ from navfilter.faults import velocity_fault
 from navfilter.faults.velocity_fault import Aside
 from navfilter.foundation.state_values import differences
 from navfilter.models.fault_bias import has_offset
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 
 JUMP_S, MINUTE_S = FAULT_S + 20.0, 60.0  # under way
 
@@ -52,7 +52,7 @@ def test_it_is_told_and_stretches_lives_and_snapshots_give_the_same(monkeypatch)
     whole, _ = fly(vehicle, broken)
     track = nf.replay(vehicle, broken, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, broken).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, broken, until_s=JUMP_S + 50.0)
     assert half.health.sensors["dvl"].condition == "jumped" and "dvl is jumped" in half.health.trust.reasons

@@ -14,7 +14,7 @@ from test_passage import assert_same, changed, compare_stretches, one_by_one
 import navfilter as nf
 from navfilter.filter import channel_model
 from navfilter.kernels.batch import EQUATION
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
@@ -144,10 +144,10 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     vehicle, mission = VEHICLES[name], mission_of(name)
     if defects:
         mission = defective(mission, vehicle)
-    monkeypatch.setattr(batch_runner, "READINGS", 60)
+    monkeypatch.setattr(runner, "READINGS", 60)
     calls = []
-    call = batch_runner.Passage._call
-    monkeypatch.setattr(batch_runner.Passage, "_call", lambda self: calls.append(call(self)) or calls[-1])
+    call = runner.BatchRunner._call
+    monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: calls.append(call(self)) or calls[-1])
     together = nf.replay(vehicle, mission, smooth=True)
     taken = sum(residuals.count("used") for residuals in together.residuals.values())
     assert 0 < len(calls) < 0.5 * taken or defects

@@ -20,7 +20,7 @@ from navfilter.kernels import measurement
 from navfilter.kernels.compiling.addresses import named
 from navfilter.learning import consistency, open_loop_series
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.navigation import batch_runner, passage_again
+from navfilter.navigation import passage_again, runner
 from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -77,7 +77,7 @@ def with_defects(mission):
 
 
 def one_by_one(monkeypatch):
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
 
 
 def assert_same(one, other):
@@ -105,12 +105,12 @@ def test_in_stretches_as_one_by_one(smooth, defects, monkeypatch):
     vehicle, mission = survey()
     if defects:
         mission = with_defects(mission)
-    monkeypatch.setattr(batch_runner, "READINGS", 300)
-    monkeypatch.setattr(batch_runner, "ROWS", 40)
+    monkeypatch.setattr(runner, "READINGS", 300)
+    monkeypatch.setattr(runner, "ROWS", 40)
     together = nf.replay(vehicle, mission, smooth=smooth)
     reasons = []
-    call = batch_runner.Passage._call
-    monkeypatch.setattr(batch_runner.Passage, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
+    call = runner.BatchRunner._call
+    monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
     assert_same(together, nf.replay(vehicle, mission, smooth=smooth))
     expected = {kernels.DONE, kernels.FULL} | (
         {kernels.NEXT, kernels.REFUSED, kernels.JUDGED, kernels.HEED} if defects else set()
@@ -138,9 +138,9 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
         course[500:] += np.random.default_rng(1).normal(0.0, 0.03, course[500:].shape)
         mission = changed(mission, "compass", value=course)
     reasons, begun = [], []
-    call, again = batch_runner.Passage._call, passage_again.PassageAgain.run
-    monkeypatch.setattr(batch_runner.Passage, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
-    monkeypatch.setattr(passage_again.PassageAgain, "run", lambda self: begun.append(self) or again(self))
+    call, again = runner.BatchRunner._call, passage_again.Rerun.run
+    monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
+    monkeypatch.setattr(passage_again.Rerun, "run", lambda self: begun.append(self) or again(self))
     together, nav = replay._replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
     # by a twin first, whose fixes are compared
     assert reasons.count(kernels.LEARN) >= 6 and len(begun) == 4 and together.counts["adopted"] > 6
@@ -158,8 +158,8 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
 def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):
     vehicle, mission = survey(20.0)
     calls = []
-    call = batch_runner.Passage._call
-    monkeypatch.setattr(batch_runner.Passage, "_call", lambda self: calls.append(self.at) or call(self))
+    call = runner.BatchRunner._call
+    monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: calls.append(self.at) or call(self))
     nf.replay(replace(vehicle, drive=replace(vehicle.drive, cross_check=True)), mission)
     assert not calls
 
@@ -173,7 +173,7 @@ def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, constants, monk
         vehicle = calibrated(vehicle)
     if defects:
         mission = with_defects(survey(60.0)[1]).between(0.0, 50.0)
-    monkeypatch.setattr(batch_runner, "ROWS", 40)
+    monkeypatch.setattr(runner, "ROWS", 40)
     monkeypatch.setattr(Spool, "CHUNK", 40 * 200)
     track, at_readings = (nf.replay(vehicle, mission, output_rate_hz=rate) for rate in (None, np.inf))
     assert np.isin(mission.streams["imu"].time_s, track.time_s).all() and (np.diff(track.time_s) > 0.0).all()
@@ -199,7 +199,7 @@ def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, constants, monk
 
 @pytest.mark.parametrize("smooth", [False, True])
 def test_a_silence_of_all_sensors_longer_than_the_room_for_rows(smooth, monkeypatch):
-    monkeypatch.setattr(batch_runner, "ROWS", 8)
+    monkeypatch.setattr(runner, "ROWS", 8)
     monkeypatch.setattr(Spool, "CHUNK", 1)
     vehicle, mission = survey(30.0)
     for name in vehicle.sensors:
@@ -236,7 +236,7 @@ def compare_stretches(monkeypatch, vehicle, mission, **how):
         compared.append(rows)
         return why
 
-    monkeypatch.setattr(batch_runner, "READINGS", 20)
+    monkeypatch.setattr(runner, "READINGS", 20)
     monkeypatch.setattr(kernels, "stretch", both)
     nf.replay(vehicle, mission, **({"smooth": True} | how))
     assert len(compared) > 1
@@ -274,8 +274,8 @@ def test_noise_that_is_larger_than_described_in_stretches_as_one_by_one(defects,
         mission = with_defects(mission)
     if learning:
         vehicle = vehicle.with_error(depth=nf.LearnedArma(orders=[(0, 0)], window=400, hop=50))
-    taken = batch_runner.Passage._correct
-    monkeypatch.setattr(batch_runner.Passage, "_correct", lambda self, at: (asked.append(at), taken(self, at)))
+    taken = runner.BatchRunner._correct
+    monkeypatch.setattr(runner.BatchRunner, "_correct", lambda self, at: (asked.append(at), taken(self, at)))
     stretches = nf.replay(vehicle, mission, smooth=True)
     few, many = len(asked), sum(len(mission.streams[name]) for name in vehicle.sensors)
     one_by_one(monkeypatch)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kernel_inputs import assert_close, random_nav, readings, run_both, spd, uncalibrated_drive
+from navfilter.filter.delayed_measurement import Sight
 
 import navfilter as nf
-from navfilter.filter.delayed_measurement import Sight
 from navfilter.kernels import delayed_state, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address

@@ -7,10 +7,10 @@ import naive
 import numpy as np
 import pytest
 from kernel_inputs import assert_close, random_nav, run_both
+from navfilter.filter.delayed_measurement import Sight, by_drive
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
-from navfilter.filter.delayed_measurement import Sight, by_drive
 from navfilter.filter.events import Measurement
 from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle

@@ -10,7 +10,7 @@ from feeding import events_of, one_by_one
 import navfilter as nf
 from navfilter.faults.imu.acceleration import ramp_of, with_refused
 from navfilter.faults.sensor_bias import heard
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -129,7 +129,7 @@ def test_in_stretches_as_one_by_one(dive, monkeypatch):
     vehicle, mission, _ = dive
     wrong = spoiled(mission, lambda v: v + np.eye(6)[3] * 0.49).between(0.0, 150.0)
     together = nf.replay(vehicle, wrong)
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     alone = nf.replay(vehicle, wrong)
     np.testing.assert_array_equal(together.covariance, alone.covariance)
     assert together.counts == alone.counts and together.counts["contradicted"] == 6

@@ -14,7 +14,7 @@ from navfilter.filter.imu_intake import Intake
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.models.state import NavState, matrix_from_euler, rotation_matrix
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 from navfilter.simulation.presets import tactical_imu
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -60,7 +60,7 @@ def test_in_stretches_as_one_by_one(dive, sensors, smooth, monkeypatch):
     vehicle, mission = dive
     mission = without_drive(mission, sensors=sensors)
     together = nf.replay(vehicle, mission, smooth=smooth)
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     alone = nf.replay(vehicle, mission, smooth=smooth)
     np.testing.assert_array_equal(together.covariance, alone.covariance)
     np.testing.assert_array_equal(together.latitude, alone.latitude)

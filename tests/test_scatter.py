@@ -13,7 +13,7 @@ from navfilter.faults import allowed_change
 from navfilter.faults.noise_scale import Scatter
 from navfilter.foundation.state_values import copied, differences
 from navfilter.kernels import noise_scale
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu, tactical_imu
 from navfilter.simulation.scenarios import lawnmower
@@ -59,7 +59,7 @@ def test_it_is_told_ends_with_the_noise_and_stretches_lives_and_snapshots_give_t
     assert whole.filter.memory.channels["dvl"].scatter is None
     track = nf.replay(vehicle, noisy, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, noisy).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, noisy, until_s=NOISE_S + 10.0)
     assert half.filter.memory.channels["dvl"].scatter.excess.any()

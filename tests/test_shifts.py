@@ -14,7 +14,7 @@ import navfilter as nf
 from navfilter.faults.imu import bias_drift
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import bias_drift as kernels
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -58,7 +58,7 @@ def test_stretches_lives_and_snapshots_give_the_same(monkeypatch):
     assert whole.counts["shifted"] == 1
     track = nf.replay(vehicle, broken, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, broken).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, broken, until_s=SHIFT_S + 10.0)
     again = nf.Navigator.restore(vehicle, half.snapshot())
@@ -162,7 +162,9 @@ def test_a_state_that_is_set_anew_begins_the_looks_anew():
     assert np.isfinite(memory.monitor.bias_drift[-5:]).all()
     memory.counts["realigned"] += 1
     feed(nav, vehicle, mission, until_s=71.0, after_s=60.0)
-    assert np.isfinite(memory.monitor.bias_drift[-1]).all() and np.isnan(nav.filter.memory.monitor.bias_drift[:-2]).all()
+    assert (
+        np.isfinite(memory.monitor.bias_drift[-1]).all() and np.isnan(nav.filter.memory.monitor.bias_drift[:-2]).all()
+    )
 
 
 def ramp(heading, extra, since=4, sd=0.01, seed=1):

@@ -12,7 +12,7 @@ import navfilter as nf
 from navfilter.evaluation.baselines import rivals
 from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.faults.imu.gyro_scale import agrees, contradicted
-from navfilter.navigation import batch_runner
+from navfilter.navigation import runner
 from navfilter.simulation.scenarios import simulate_scenario
 
 DEG = math.pi / 180.0
@@ -92,7 +92,7 @@ def test_in_stretches_as_one_by_one_and_restored(dive, monkeypatch):
     vehicle, mission = dive
     wrong = spoiled(mission, times(2, -1.0), begin_s=FAULT_S).between(0.0, 205.0)
     together = nf.replay(vehicle, wrong)
-    monkeypatch.setattr(batch_runner.Passage, "possible", property(lambda self: False))
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     alone = nf.replay(vehicle, wrong)
     np.testing.assert_array_equal(together.covariance, alone.covariance)
     assert together.counts == alone.counts and together.counts["contradicted"] == 1

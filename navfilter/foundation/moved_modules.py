@@ -183,8 +183,8 @@ outputs.rows io.tracks.rows
 outputs.sbet io.tracks.sbet
 outputs.table io.tracks.table
 outputs.tum io.tracks.tum
-passage navigation.batch_runner
-passage_again navigation.passage_again
+passage navigation.runner
+passage_again navigation.runner
 prompt navigation.live_runner
 readings navigation.measurements
 recorded navigation.recorded_inputs

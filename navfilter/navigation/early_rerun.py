@@ -21,7 +21,7 @@ from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.learning_memory import Again, LearningMemory
-from navfilter.navigation.passage_again import PassageAgain
+from navfilter.navigation.runner import Rerun
 
 if TYPE_CHECKING:
     from navfilter.navigation.run import Run
@@ -122,8 +122,10 @@ def _change_places(nav: Run, other: Run) -> None:
 
 
 def _let_go(twin: Twin) -> None:
-    """Free what is left of a run, on the thread. Its parts refer to each other: Python's collector would come upon them
-    in the middle of a call. And a `Prompt` that has not been asked since has its filter in hand, and would free it.
+    """Free what is left of a run, on the thread.
+
+    Its parts refer to each other, so Python's collector would come upon them in the middle of a call; and a
+    `MeasurementFastPath` that has not been used since still holds its filter.
     """
     run = twin.run
     for part in (run.filter.memory, *run.filter.channels.values(), run.filter, run):
@@ -217,11 +219,11 @@ def _begin_again(nav: Run, again: Again, until_s: float, now_s: float) -> None:
     inputs = nav.learning.begin_again(until_s)
     history = nav.history
     if history is None:
-        PassageAgain(nav, inputs).run()
+        Rerun(nav, inputs).run()
         return
     # the last of it goes through the history, so that late readings find their place
     history.begin()
     before = inputs.until(now_s - history.length_s)
-    PassageAgain(nav, inputs.first(*before)).run()
+    Rerun(nav, inputs.first(*before)).run()
     for item in inputs.inputs(before):
         history.feed(item)

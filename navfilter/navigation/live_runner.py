@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from navfilter.learning.input_buffer import Kept
     from navfilter.navigation.run import Run
 
-__all__ = ["Prompt", "PromptSample", "prompt_sample", "prompts"]
+__all__ = ["ImuFastPath", "MeasurementFastPath", "prompt_sample", "prompts"]
 
 Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
@@ -29,7 +29,7 @@ _HELD = _FLOAT, np.dtype(np.int64)
 _NOT_KEPT = 0, -1, 0  # by the kernel
 
 
-class Hand:
+class PointerTable:
     """Arrays that a kernel is handed by where they stand.
 
     Parameters
@@ -62,7 +62,7 @@ class Hand:
             self.table[:] = self._rows
 
 
-class PromptSample:
+class ImuFastPath:
     """Takes samples that come one by one, to the last bit as `History.feed` does, where nothing is to be decided but by
     the kernel: they follow each other, and neither a fold nor a checkpoint is due.
 
@@ -78,7 +78,7 @@ class PromptSample:
     def __init__(self, nav: Run) -> None:
         assert nav.history is not None
         self._nav, self._history, self._as_of, self._most = nav, nav.history, -1, nav.filter.fold_every - 1
-        self._hand = Hand(batch.HELD_FOR_SAMPLES)
+        self._hand = PointerTable(batch.HELD_FOR_SAMPLES)
         self._spans = np.array([*nav.filter.intake.spans, nav.filter.period_s])
 
     def take(self, samples: Array) -> bool:
@@ -141,7 +141,7 @@ class PromptSample:
         self._memory, self._kept, self._as_of = memory, kept, nav.changes
 
 
-class Prompt:
+class MeasurementFastPath:
     """Takes the readings of one sensor, to the last bit as `Navigator.correct` does, where nothing is to be decided but
     by the kernel: they are in time, no clock is in doubt, and nothing was wrong with those before.
 
@@ -166,7 +166,7 @@ class Prompt:
         self._facts[batch.LARGEST], self._facts[batch.TILTED] = most, nav.vehicle.drive.gravity
         self._plain_size, self._as_of = sensor.reads if most > 0.0 else -1, -1
         self._waiting = nav.learning.worker.waiting
-        self._hand = Hand(batch.HAND)
+        self._hand = PointerTable(batch.HAND)
 
     def take(self, stamp_s: float, value: ArrayLike, busy: bool = False) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
@@ -282,7 +282,7 @@ class Prompt:
         self._due_s = min(bias_drift.due_s(self._filter), learning.early_s, history.due_s)
         return False
 
-    def exchange(self, other: Prompt) -> None:
+    def exchange(self, other: MeasurementFastPath) -> None:
         """Have in hand what that of another run has, and that this one's."""
         self._hand, other._hand = other._hand, self._hand
 
@@ -327,7 +327,7 @@ class Prompt:
         return True
 
 
-def prompt_sample(nav: Run) -> PromptSample | None:
+def prompt_sample(nav: Run) -> ImuFastPath | None:
     """That of a navigator, where samples may be ordinary ones."""
     filter = nav.filter
     plain = (
@@ -335,13 +335,13 @@ def prompt_sample(nav: Run) -> PromptSample | None:
         and nav.learning.rest is None
         and not (filter.feels_after or filter.monitor.cross_checks)
     )
-    return PromptSample(nav) if plain else None
+    return ImuFastPath(nav) if plain else None
 
 
-def prompts(nav: Run) -> dict[str, Prompt]:
+def prompts(nav: Run) -> dict[str, MeasurementFastPath]:
     """Those of a navigator, by sensor: of readings that need not wait, where they may come late and no jump of the
     drive is looked for.
     """
     if nav.history is None or nav.filter.monitor.cross_checks:
         return {}
-    return {name: Prompt(nav, name) for name, sensor in nav.vehicle.sensors.items() if not sensor.lead_s}
+    return {name: MeasurementFastPath(nav, name) for name, sensor in nav.vehicle.sensors.items() if not sensor.lead_s}

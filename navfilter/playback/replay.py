@@ -21,11 +21,11 @@ from navfilter.models.learned_arma import learning_part
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.batch_runner import Passage
 from navfilter.navigation.lanes.tracks import replayed_lanes
 from navfilter.navigation.measurements import Readings
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import drive_samples, readings_of
+from navfilter.navigation.runner import BatchRunner
 from navfilter.navigation.track_assembly import bar, forward_track, smoothed_track
 from navfilter.track.track import Track
 
@@ -257,7 +257,7 @@ def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress
             "clocks."
         )
     shown = bar(len(events.time_s), "filter", progress)
-    Passage(nav, times, values, events, done).run(None if shown is None else shown.update)
+    BatchRunner(nav, times, values, events, done).run(None if shown is None else shown.update)
     if shown is not None:
         shown.close()
 

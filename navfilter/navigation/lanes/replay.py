@@ -19,10 +19,10 @@ from navfilter.models.lane_missions import lane_mission
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.batch_runner import Passage
 from navfilter.navigation.lanes.navigator import begin_anew, choice_of
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import drive_samples, readings_of
+from navfilter.navigation.runner import BatchRunner
 
 __all__ = ["LaneReplay", "Piece"]
 
@@ -164,7 +164,7 @@ class _Lane:
         self._times, values = (np.empty(0), np.empty((0, 6))) if silent else drive_samples(vehicle, mission)
         self._readings = readings_of(vehicle, mission, start.time_s)
         done = int(np.searchsorted(self._times, start.time_s - 1e-9))
-        self._passage = Passage(self.nav, self._times, values, self._readings, done)
+        self._passage = BatchRunner(self.nav, self._times, values, self._readings, done)
         self._told: dict[str, int] = {}
         self._out = self._left_out()
         self.pieces = [Piece(tape, start.time_s)]

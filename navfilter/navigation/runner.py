@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,11 @@ from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import noise_scale as scatters
 from navfilter.kernels import open_loop_residual, strapdown
+from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, Kept
 from navfilter.navigation.measurements import Readings
+from navfilter.navigation.run import Run
 
-if TYPE_CHECKING:
-    from navfilter.navigation.run import Run
-
-__all__ = ["Passage"]
+__all__ = ["BatchRunner", "Rerun"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,7 +43,7 @@ ROWS = 4096
 TRACED = 16
 
 
-class Passage:
+class BatchRunner:
     """Takes a navigator through many inputs, as `Navigator.step_samples` and `Navigator.correct` would, to the last
     bit.
 
@@ -407,6 +406,61 @@ class Passage:
             if listener is not None and len(mine):
                 heard = self._opened[mine, : 1 + len(listener.memory.ring)]
                 listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
+
+
+class Rerun(BatchRunner):
+    """Takes a navigator once more through inputs that it has had: the sensors' health is not counted again.
+
+    Parameters
+    ----------
+    nav : Run
+    inputs : Kept
+    """
+
+    def __init__(self, nav: Run, inputs: Kept) -> None:
+        samples, heads = inputs.samples.whole(inputs.samples.count), inputs.readings.whole(inputs.readings.count)
+        flat, names = inputs.values.whole(inputs.values.count)[:, 0], tuple(nav.filter.channels)
+        self._frozen, self._as_before = heads[:, FROZEN] != 0.0, heads[:, AS_BEFORE] != 0.0
+        sensor = np.array([names.index(name) for name in inputs.names], np.int64)[heads[:, SENSOR].astype(np.int64)]
+        ends = heads[:, VALUES].astype(np.int64)
+        begins, row = np.append(0, ends)[:-1], np.empty(len(heads), np.int64)
+        values: list[Array | list[Array]] = []
+        sds: list[list[Any] | None] = []
+        for i in range(len(names)):
+            mine = np.flatnonzero(sensor == i)
+            row[mine] = np.arange(mine.size)
+            sizes = ends[mine] - begins[mine]
+            if mine.size and (sizes == sizes[0]).all():
+                values.append(flat[begins[mine, None] + np.arange(sizes[0])])
+            else:
+                values.append([flat[begins[k] : ends[k]] for k in mine])
+            own = [inputs.sds.get(k) for k in mine.tolist()] if inputs.sds else []
+            sds.append(own if any(sd is not None for sd in own) else None)
+        times, before = heads[:, TIME_S].copy(), heads[:, BEFORE].astype(np.int64)
+        given = Readings(times, times, sensor, row, names, tuple(values), tuple(sds))
+        super().__init__(nav, samples[:, 0].copy(), samples[:, 1:].copy(), given, 0, before)
+
+    def _watched(self) -> list[Watch]:
+        return [Watch(math.inf, math.inf) for _ in self._readings.names]
+
+    def _repeated(self) -> NDArray[np.bool_]:
+        return self._as_before
+
+    def _lay_out(self) -> None:
+        super()._lay_out()
+        self._good[self._frozen[self._begin : self._end]] = False  # learning wants to hear of that
+
+    def _feed(self, samples: Array) -> None:
+        self.nav.feed(samples)
+
+    def _correct(self, at: int) -> None:
+        self.nav.feed(self._reading(at))
+
+    def _reading(self, at: int, frozen: bool = False) -> Measurement:
+        return super()._reading(at, bool(self._frozen[at]))
+
+    def _finish(self) -> None:
+        pass
 
 
 def _until_s(channel: Channel) -> float:
