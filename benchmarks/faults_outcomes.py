@@ -19,6 +19,7 @@ from feeding import DRIVE, Event, Events, events_of
 
 import navfilter as nf
 from navfilter.models.lane_missions import of_one_unit
+from navfilter.models.sensors import Sensor
 from navfilter.models.start import Start
 from navfilter.models.state import wrap
 from navfilter.simulation.faults import Faults
@@ -237,7 +238,7 @@ def beams(*, mems: bool = False) -> nf.Vehicle:
     return dataclasses.replace(plain, sensors={**plain.sensors, "dvl": one})
 
 
-def with_others(**sensors: nf.sensors.Sensor | None) -> nf.Vehicle:
+def with_others(**sensors: Sensor | None) -> nf.Vehicle:
     """The survey's with other sensors; None leaves one out."""
     plain = survey_vehicle()
     chosen = {**plain.sensors, **sensors}

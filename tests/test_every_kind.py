@@ -12,9 +12,8 @@ import same_runs
 from test_passage import assert_same, changed, compare_stretches, one_by_one
 
 import navfilter as nf
-from navfilter.filter import channel_model
-from navfilter.kernels.batch import EQUATION
 from navfilter.navigation import runner
+from navfilter.playback.replay import at_the_end
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
@@ -151,7 +150,7 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     together = nf.replay(vehicle, mission, smooth=True)
     taken = sum(residuals.count("used") for residuals in together.residuals.values())
     assert 0 < len(calls) < 0.5 * taken or defects
-    at_the_end = nf.playback.at_the_end(vehicle, mission)
+    at_the_end = at_the_end(vehicle, mission)
     one_by_one(monkeypatch)
     assert_same(together, nf.replay(vehicle, mission, smooth=True))
     nav = nf.Navigator(vehicle, mission.start, history_s=0.0)
@@ -161,18 +160,6 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     assert {n: w.health(nav.time_s) for n, w in nav.watches.items()} == {
         n: w.health(nav.time_s) for n, w in at_the_end.watches.items()
     }
-
-
-@pytest.mark.parametrize("name", VEHICLES)
-def test_compiled_as_asked_by_python(name, monkeypatch):
-    """Differences are those of rounding, which a mission of 41 s keeps small."""
-    vehicle, mission = VEHICLES[name], mission_of(name)
-    compiled = nf.playback.at_the_end(vehicle, mission)
-    monkeypatch.setattr(channel_model, "address", lambda *_: 0)
-    asked = nf.playback.at_the_end(vehicle, mission)
-    assert not asked.filter.plan[:-1, EQUATION].any() and compiled.filter.plan[:-1, EQUATION].all()
-    same_runs.assert_same_estimate(compiled, asked, 1e-7)
-    assert max(watch.outcomes.get("used", 0) for watch in asked.watches.values()) > 30
 
 
 @pytest.mark.parametrize("name", ["constants", "on land", "reckoned, clocks"])

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from delayed_look import Sight
 from kernel_inputs import assert_close, random_nav, readings, run_both, spd, uncalibrated_drive
-from navfilter.filter.delayed_measurement import Sight
 
 import navfilter as nf
 from navfilter.kernels import delayed_state, measurement, strapdown

@@ -6,8 +6,8 @@ from typing import ClassVar
 import naive
 import numpy as np
 import pytest
+from delayed_look import Sight, by_drive
 from kernel_inputs import assert_close, random_nav, run_both
-from navfilter.filter.delayed_measurement import Sight, by_drive
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle

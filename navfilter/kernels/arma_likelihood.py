@@ -16,7 +16,7 @@ kept.
 
 Most of the time of a tick would go into its loops, and into numbers that are put away and fetched again. So for the
 shapes that learners have, Python runs `_tick` once while the kernel is compiled, with values that write down what is
-done to them (`_Value`, `_Rows`): of all loops and conditions nothing is left, and numbers stay in registers.
+done to them (`vectors.Written`): of all loops and conditions nothing is left, and numbers stay in registers.
 """
 
 import math
@@ -27,7 +27,6 @@ from numba.core import cgutils
 
 from navfilter.kernels.compiling.decorators import apart, njit
 from navfilter.kernels.compiling.registers import LANES
-from navfilter.kernels.compiling.registers import VECTOR as _VECTOR
 from navfilter.kernels.compiling.registers import all_of as _all_of
 from navfilter.kernels.compiling.registers import call as _call
 from navfilter.kernels.compiling.registers import compiled as _compiled
@@ -35,6 +34,7 @@ from navfilter.kernels.compiling.registers import lanes as _lanes
 from navfilter.kernels.compiling.registers import load as _load
 from navfilter.kernels.compiling.registers import magnitude as _magnitude
 from navfilter.kernels.compiling.registers import store as _store
+from navfilter.kernels.compiling.vectors import Written, write_out
 
 UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
@@ -61,17 +61,17 @@ _ir = cgutils.ir
 
 def _root(u):
     """Square roots."""
-    return u.called("sqrt") if isinstance(u, _Value) else np.sqrt(u)
+    return u.called("sqrt") if isinstance(u, Written) else np.sqrt(u)
 
 
 def _smaller(u, v):
     """The smaller one of each two."""
-    return u.called("minnum", v) if isinstance(u, _Value) else np.fmin(u, v)
+    return u.called("minnum", v) if isinstance(u, Written) else np.fmin(u, v)
 
 
 def _larger(u, v):
     """The larger one of each two."""
-    return u.called("maxnum", v) if isinstance(u, _Value) else np.fmax(u, v)
+    return u.called("maxnum", v) if isinstance(u, Written) else np.fmax(u, v)
 
 
 def _compile_all():
@@ -284,98 +284,16 @@ def _tick_in_a_row(shape, P, x, K, U, Q, a, g, noise, noted, y, weight, high):
     _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, high, -high, d + s, m)
 
 
-class _Value:
-    """Lanes in a tick that is being written out; constants beside it are arrays."""
-
-    __array_ufunc__ = None
-
-    def __init__(self, builder, value):
-        self.builder, self.value = builder, value
-
-    def _with(self, instruction, one, other):
-        pair = [v.value if isinstance(v, _Value) else _ir.Constant(_VECTOR, list(v)) for v in (one, other)]
-        return _Value(self.builder, getattr(self.builder, instruction)(*pair, flags=("contract", "nsz")))
-
-    def __add__(self, other):
-        return self._with("fadd", self, other)
-
-    def __radd__(self, other):
-        return self._with("fadd", other, self) if other.any() else self
-
-    def __sub__(self, other):
-        return self._with("fsub", self, other)
-
-    def __rsub__(self, other):
-        return self._with("fsub", other, self)
-
-    def __mul__(self, other):
-        return self._with("fmul", self, other)
-
-    def __rmul__(self, other):
-        return self._with("fmul", other, self) if (other != 1.0).any() else self
-
-    def __truediv__(self, other):
-        return self._with("fdiv", self, other)
-
-    def called(self, name, *others):
-        """One of the compiler's own functions."""
-        return _Value(self.builder, _call(self.builder, name, self.value, *[other.value for other in others]))
+def _write_tick(shape, rows, numbers, fresh):
+    """`_tick` of a shape on values that write down what is done to them."""
+    (P, x, K, U, Q, a, g, noise, noted), (y, weight, high) = rows, numbers
+    d, s, m = shape // 100, shape // 10 % 10, shape % 10
+    used, sees = _pattern(d, s)
+    low = np.zeros(LANES) - high
+    _tick(P, x, fresh(), K, U, Q, used, sees, a, g, noise, fresh(), noted, y, weight, high, low, d + s, m)
 
 
-class _Rows:
-    """Rows of an array in a tick that is being written out: read when they are first used, written at the end."""
-
-    def __init__(self, builder, first=None):
-        self.builder, self.first, self.rows, self.read = builder, first, {}, {}
-
-    def store(self, row, value):
-        """Put a value into a row."""
-        self.rows[row] = value
-
-    def load(self, row):
-        """A row as it is by now."""
-        if row not in self.rows:
-            value = self.builder.load(self._at(row))
-            value.align = 8
-            self.rows[row] = self.read[row] = _Value(self.builder, value)
-        return self.rows[row]
-
-    def _at(self, row):
-        place = self.builder.gep(self.first, [_ir.Constant(_ir.IntType(64), row * LANES)])
-        return self.builder.bitcast(place, _VECTOR.as_pointer())
-
-    def write(self):
-        """Those that are others now."""
-        for row, value in self.rows.items():
-            if value is not self.read.get(row):
-                self.builder.store(value.value, self._at(row), align=8)
-
-
-@_compiled(_tick_in_a_row, types.void, types.Integer, *[types.Array] * 9, *[_lanes] * 3)
-def _build_tick(context, builder, kinds, arguments):
-    """`_tick` run once for each shape, with values that write down what is done to them."""
-    pointers = [
-        context.make_array(kind)(context, builder, value=value).data
-        for kind, value in zip(kinds.args[1:10], arguments[1:10], strict=True)
-    ]
-    y, weight, high = (_Value(builder, value) for value in arguments[10:])
-    after = builder.append_basic_block("after")
-    choice = builder.switch(arguments[0], after)
-    for d, s, m in SHAPES:
-        block = builder.append_basic_block(f"tick{d}{s}{m}")
-        choice.add_case(_ir.Constant(arguments[0].type, 100 * d + 10 * s + m), block)
-        builder.position_at_end(block)
-        P, x, K, U, Q, a, g, noise, noted = rows = [_Rows(builder, first) for first in pointers]
-        used, sees = _pattern(d, s)
-        L, corner, low = _Rows(builder), _Rows(builder), np.zeros(LANES) - high
-        _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, high, low, d + s, m)
-        for array in rows:
-            array.write()
-        builder.branch(after)
-    builder.position_at_end(after)
-    return context.get_dummy_value()
-
-
+write_out(_tick_in_a_row, _write_tick, NUMBERS.tolist(), [types.Array] * 9, [_lanes] * 3)
 _tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(_tick)
 
 

@@ -7,246 +7,21 @@ covariance, K gain. Errors e here are *true minus estimated*, so a correction is
 import math
 
 import numpy as np
-from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin
 
 from navfilter.kernels.compiling.decorators import apart, flat, njit, shaped
-from navfilter.kernels.compiling.registers import all_of, eight, not_zero, put, times, transposed
+from navfilter.kernels.compiling.registers import all_of, eight, not_zero, put, times
+from navfilter.kernels.compiling.vectors import WIDE, less_half, mirror, product, rank2_update, weighted
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
-# Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
-HIGH, WIDE = 9, 8
-# So many terms of each sum of a product at a time: where its nine rows stand is then found out once for them.
-STEPS = 4
-# So many times as many columns of a weighted sum, and pairs of vectors that are taken off, at a time.
-BROAD = 3
-
-
-def _product(A, B, out):
-    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least."""
-    np.dot(A, B[:, : out.shape[1]], out)
-
-
-def _weighted(f, A, out):
-    """The sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at least."""
-    np.copyto(out, f @ A[: len(f), : len(out)])
-
-
-def _less_twice(P, u, w):
-    """P <- P - u' w - w' u of rows u and w (a, n): symmetric to the bit where P (n, n) was; n: eight at least."""
-    for f, g in zip(u, w, strict=True):
-        np.subtract(P, np.outer(f, g) + np.outer(g, f), P)
-
-
-def _less_half(P, f, A, out):
-    """Row P less half the sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at
-    least. One after the other.
-    """
-    np.copyto(out, P[: len(out)])
-    for factor, row in zip(f, A, strict=False):
-        np.subtract(out, 0.5 * factor * row[: len(out)], out)
-
-
-def _mirror(M, i, j):
-    """The square block of eight rows from i and eight columns from j on, transposed to across the diagonal."""
-    np.copyto(M[j : j + WIDE, i : i + WIDE], M[i : i + WIDE, j : j + WIDE].T)
-
-
-_ir = cgutils.ir
-_WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
-_ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
-
-
-def _compiled(function, count, numbers=0):
-    """Decorates what builds the instructions that stand for a function of so many arrays, and then whole numbers, in a
-    kernel.
-    """
-
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-    infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
-
-    def built(build):
-        @lower_builtin(function, *(types.Array,) * count, *(types.Integer,) * numbers)
-        def generate(context, builder, kinds, arguments):
-            given = list(zip(kinds.args, arguments, strict=True))
-            arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given[:count]]
-            shapes = [cgutils.unpack_tuple(builder, array.shape) for array in arrays]
-            whole = [context.cast(builder, value, kind, types.int64) for kind, value in given[count:]]
-            build(builder, [array.data for array in arrays], shapes, *whole)
-            return context.get_dummy_value()
-
-        return build
-
-    return built
-
-
-def _number(value):
-    return _ir.Constant(_WORD, value)
-
-
-def _parts(builder, total, size):
-    """Loop over parts of this size."""
-    return cgutils.for_range(builder, builder.udiv(builder.add(total, _number(size - 1)), _number(size)), intp=_WORD)
-
-
-def _begin(builder, part, total, size):
-    """Where a part begins: the last one overlaps those before."""
-    begin, last = builder.mul(part.index, _number(size)), builder.sub(total, _number(size))
-    return builder.select(builder.icmp_signed("<", begin, last), begin, last)
-
-
-def _place(builder, data, i, width, j):
-    return builder.gep(data, [builder.add(builder.mul(i, width), j)])
-
-
-def _eight(builder, place):
-    value = builder.load(builder.bitcast(place, _ROW.as_pointer()))
-    value.align = 8
-    return value
-
-
-def _put(builder, value, place):
-    builder.store(value, builder.bitcast(place, _ROW.as_pointer()), align=8)
-
-
-def _times_eight(builder, number):
-    nothing = _ir.Constant(_ir.VectorType(number.type, WIDE), _ir.Undefined)
-    same = _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE)
-    return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
-
-
-@_compiled(_product, 3)
-def _build_product(builder, data, shapes):
-    """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
-    than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
-    processor can.
-    """
-    (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
-    sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
-    with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
-        first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
-        places = [builder.add(first, _number(i)) for i in range(HIGH)]
-        mine = [_place(builder, left, i, inner, _number(0)) for i in places]
-        for total in sums:
-            builder.store(_ZERO, total)
-        several = builder.udiv(inner, _number(STEPS))
-
-        def add(first, count):
-            for i in range(count):
-                step = builder.add(first, _number(i))
-                factors = _eight(builder, _place(builder, right, step, width, column))
-                for total, terms in zip(sums, mine, strict=True):
-                    term = _times_eight(builder, builder.load(builder.gep(terms, [step])))
-                    term = builder.fmul(term, factors, flags=("contract",))
-                    builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
-
-        with cgutils.for_range(builder, several, intp=_WORD) as steps:
-            add(builder.mul(steps.index, _number(STEPS)), STEPS)
-        done = builder.mul(several, _number(STEPS))
-        with cgutils.for_range(builder, builder.sub(inner, done), intp=_WORD) as step:
-            add(builder.add(done, step.index), 1)
-        for i, total in zip(places, sums, strict=True):
-            _put(builder, builder.load(total), _place(builder, out, i, n, column))
-
-
-@_compiled(_weighted, 3)
-def _build_weighted(builder, data, shapes):
-    """As many columns at a time as `BROAD` registers hold, or eight; rows whose factor is zero are left out."""
-    (f, A, out), ((k,), (_, width), (n,)) = data, shapes
-
-    def by(count):
-        size = count * WIDE
-        sums = [cgutils.alloca_once(builder, _ROW) for _ in range(count)]
-        with _parts(builder, n, size) as wide:
-            begin = _begin(builder, wide, n, size)
-            columns = [builder.add(begin, _number(WIDE * i)) for i in range(count)]
-            for total in sums:
-                builder.store(_ZERO, total)
-            with cgutils.for_range(builder, k, intp=_WORD) as step:
-                factor = builder.load(builder.gep(f, [step.index]))
-                with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                    factor = _times_eight(builder, factor)
-                    for column, total in zip(columns, sums, strict=True):
-                        term = builder.fmul(factor, _eight(builder, _place(builder, A, step.index, width, column)))
-                        builder.store(builder.fadd(builder.load(total), term), total)
-            for column, total in zip(columns, sums, strict=True):
-                _put(builder, builder.load(total), builder.gep(out, [column]))
-
-    with builder.if_else(builder.icmp_signed("<", n, _number(BROAD * WIDE))) as (few, many):
-        with few:
-            by(1)
-        with many:
-            by(BROAD)
-
-
-@_compiled(_less_half, 4)
-def _build_less_half(builder, data, shapes):
-    """Eight columns at a time."""
-    (P, f, A, out), (_, (k,), (_, width), (n,)) = data, shapes
-    total = cgutils.alloca_once(builder, _ROW)
-    with _parts(builder, n, WIDE) as wide:
-        column = _begin(builder, wide, n, WIDE)
-        builder.store(_eight(builder, builder.gep(P, [column])), total)
-        with cgutils.for_range(builder, k, intp=_WORD) as step:
-            factor = builder.load(builder.gep(f, [step.index]))
-            factor = _times_eight(builder, builder.fmul(factor, _ir.Constant(factor.type, 0.5)))
-            term = builder.fmul(factor, _eight(builder, _place(builder, A, step.index, width, column)))
-            builder.store(builder.fsub(builder.load(total), term), total)
-        _put(builder, builder.load(total), builder.gep(out, [column]))
-
-
-@_compiled(_mirror, 1, 2)
-def _build_mirror(builder, data, shapes, i, j):
-    ((M,), ((_, n),)) = data, shapes
-    rows = [_eight(builder, _place(builder, M, builder.add(i, _number(k)), n, j)) for k in range(WIDE)]
-    for k, row in enumerate(transposed(builder, rows)):
-        _put(builder, row, _place(builder, M, builder.add(j, _number(k)), n, i))
-
-
-@_compiled(_less_twice, 3)
-def _build_less_twice(builder, data, shapes):
-    """Eight columns at a time, `BROAD` pairs of rows or one: each element of P is fetched and put away once for them.
-    Of the last columns those that have been done before are multiplied by zeros.
-    """
-    (P, u, w), ((n, _), (a, _), _) = data, shapes
-    lanes = _ir.Constant(_ir.VectorType(_WORD, WIDE), list(range(WIDE)))
-
-    def less(first, count, column, fresh):
-        rows = [builder.mul(builder.add(first, _number(i)), n) for i in range(count)]
-        pairs = [(builder.gep(u, [row]), builder.gep(w, [row])) for row in rows]
-        mine = [[_eight(builder, builder.gep(row, [column])) for row in pair] for pair in pairs]
-        mine = [[builder.select(fresh, row, _ZERO) for row in pair] for pair in mine]
-        with cgutils.for_range(builder, n, intp=_WORD) as i:
-            place = _place(builder, P, i.index, n, column)
-            value = _eight(builder, place)
-            for pair, (wide_u, wide_w) in zip(pairs, mine, strict=True):
-                by_u, by_w = (_times_eight(builder, builder.load(builder.gep(row, [i.index]))) for row in pair)
-                value = builder.fsub(value, builder.fadd(builder.fmul(by_u, wide_w), builder.fmul(by_w, wide_u)))
-            _put(builder, value, place)
-
-    whole = builder.udiv(a, _number(BROAD))
-    with _parts(builder, n, WIDE) as wide:
-        column = _begin(builder, wide, n, WIDE)
-        known = builder.sub(builder.mul(wide.index, _number(WIDE)), column)
-        fresh = builder.icmp_signed(">=", lanes, _times_eight(builder, known))
-        with cgutils.for_range(builder, whole, intp=_WORD) as several:
-            less(builder.mul(several.index, _number(BROAD)), BROAD, column, fresh)
-        done = builder.mul(whole, _number(BROAD))
-        with cgutils.for_range(builder, builder.sub(a, done), intp=_WORD) as one:
-            less(builder.add(done, one.index), 1, column, fresh)
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
 def _multiply(A, B, out):
-    """`_product`, compiled once."""
-    _product(A, B, out)
+    """`product`, compiled once."""
+    product(A, B, out)
 
 
 @apart
@@ -312,7 +87,7 @@ def discount_heading(P, acc, nav, own, work):
             own[i] = acc[axis, i]
         own[axis] -= 1.0
         own[8] = 0.0
-        _weighted(own, P, carried)
+        weighted(own, P, carried)
         for i in range(m):
             variance += carried[i] * own[i]
     square = north * north + east * east
@@ -402,7 +177,7 @@ def _across(T, M, rows, begin):
         _copy(T[i][begin:], M[i][begin:])
     for j in range(begin, n, WIDE):
         for i in range(0, rows, WIDE):
-            _mirror(M, min(i, rows - WIDE), min(j, n - WIDE))
+            mirror(M, min(i, rows - WIDE), min(j, n - WIDE))
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -450,7 +225,7 @@ def fold(P, acc, nav, T):
     for i in range(9, moving):
         first, last = _reach(acc[i], i)
         begins[i], ends[i] = first, last
-        _weighted(acc[i][first:last], P[first:last], T[i])
+        weighted(acc[i][first:last], P[first:last], T[i])
     for i in range(9):
         for j in range(i + 1):
             s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
@@ -558,7 +333,7 @@ def tick(P, x, start, A, B, T):
     """
     b, n = A.shape[0], P.shape[0]
     for i in range(b):
-        _weighted(A[i], P[start:], T[i])
+        weighted(A[i], P[start:], T[i])
     for i in range(b):
         _copy(T[i], P[start + i])
     for i in range(b):
@@ -632,7 +407,7 @@ def innovation(P, H, res, R, S, PH, out):
                 H[i, j] = 0.0
         else:
             used += 1
-        _weighted(H[i], P, PH[i])
+        weighted(H[i], P, PH[i])
         for j in range(i + 1):
             s = 0.0
             for r in range(n):
@@ -686,15 +461,15 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
     # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
     u, w = T[:a], T[a:]
     for r in range(a):  # S and its inverse are symmetric to the bit
-        _weighted(S[a + r], PH, u[r])
+        weighted(S[a + r], PH, u[r])
     for r in range(a):
         own = u[r]
         for i in range(n):
             K[i, r] = own[i]
-        _less_half(PH[r], S[r], u, w[r])
-    _less_twice(P, u, w)
+        less_half(PH[r], S[r], u, w[r])
+    rank2_update(P, u, w)
     change = w[0]
-    _weighted(res, u, change)
+    weighted(res, u, change)
     nav[0] += change[0] / nav[15]
     nav[1] += change[1] / (nav[16] * math.cos(nav[0]))
     nav[2] -= change[2]
@@ -733,7 +508,7 @@ def _follow(M, first, last):
     """Columns of a symmetric M become what its rows first to last, nine at most, are now; but not in those rows."""
     n, high = M.shape[0], max(last, WIDE)
     for j in range(high, n if n - high >= WIDE else high, WIDE):
-        _mirror(M, high - WIDE, min(j, n - WIDE))
+        mirror(M, high - WIDE, min(j, n - WIDE))
     for i in range(first, last):
         for j in range(first):
             M[j, i] = M[i, j]
@@ -1134,7 +909,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
             for j in range(n):
                 own[j] = K[j, c]
                 f += own[j] * lam[j]
-            _weighted(own, L, T[c])
+            weighted(own, L, T[c])
             for r in range(a):
                 f += Sinv[c, r] * res[r]
             T[a + c, a] = f
@@ -1151,8 +926,8 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
                 lam[i] -= H[c, i] * f
         W = T[2 * a : 3 * a]
         for c in range(a):
-            _less_half(T[c], T[a + c][:a], H, W[c])
-        _less_twice(L, H, W)
+            less_half(T[c], T[a + c][:a], H, W[c])
+        rank2_update(L, H, W)
     if b > 0:
         _transition_transposed(L, lam, shaped(record[m * m : m * m + b * b], b, b), start, b, T)
     if m > 0:

@@ -16,13 +16,10 @@ Signs: error = estimated minus true; attitude error is a rotation vector in n: `
 import math
 
 import numpy as np
-from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin
 
 from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch
-from navfilter.kernels.compiling.registers import all_of, load, store, times, transposed
+from navfilter.kernels.compiling.registers import all_of, load, store, times
+from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -399,36 +396,6 @@ def _carried(x, e, f, C, half):
     return y0, y1, x[2] + half * (y5 + x[5]), y3, y4, y5, y6, y7, y8
 
 
-class _Row:
-    """A row of a panel in registers. Multiplied and added in one rounding where the processor can: every step of the
-    filter goes by `imu_steps` or `imu_hold` as they are compiled, so that bits stay the same.
-    """
-
-    def __init__(self, builder, value):
-        self.builder, self.value = builder, value
-
-    @classmethod
-    def of(cls, builder, number):
-        """One number throughout."""
-        index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
-        nothing = cgutils.ir.Constant(row, cgutils.ir.Undefined)
-        first = builder.insert_element(nothing, number, cgutils.ir.Constant(index, 0))
-        same = cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), [0] * WIDE)
-        return cls(builder, builder.shuffle_vector(first, nothing, same))
-
-    def __add__(self, other):
-        return _Row(self.builder, self.builder.fadd(self.value, other.value, flags=("contract",)))
-
-    def __sub__(self, other):
-        return _Row(self.builder, self.builder.fsub(self.value, other.value, flags=("contract",)))
-
-    def __mul__(self, other):
-        return _Row(self.builder, self.builder.fmul(self.value, other.value, flags=("contract",)))
-
-    def __rmul__(self, number):
-        return _Row.of(self.builder, cgutils.ir.Constant(cgutils.ir.DoubleType(), number)) * self
-
-
 def _carry_panel(Z, e, by, f, C):
     """`_carried` of the first nine rows of a panel Z, in place; e: rows of errors, `by` what they are multiplied by."""
     x, e = Z[: 9 * WIDE].reshape(9, WIDE), by * e[: 6 * WIDE].reshape(6, WIDE)
@@ -441,42 +408,8 @@ def _carry_alone(Z, f):
     np.copyto(x, np.array(_carried(x, (), f, (), 0.5 * f[0])))
 
 
-@infer_global(_carry_panel)
-@infer_global(_carry_alone)
-class _OfCarry(AbstractTemplate):
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-
-@lower_builtin(_carry_alone, types.Array, types.Array)
-@lower_builtin(_carry_panel, types.Array, types.Array, types.Float, types.Array, types.Array)
-def _build_carry(context, builder, kinds, arguments):
-    """Each row in one register, where those are wide enough, or in two."""
-    given = [
-        context.make_array(kind)(context, builder, value=value).data if isinstance(kind, types.Array) else value
-        for kind, value in zip(kinds.args, arguments, strict=True)
-    ]
-    Z, *e, f, C = given if len(given) > 2 else (*given, None)
-    index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
-
-    def place(data, i):
-        return builder.gep(builder.bitcast(data, row.as_pointer()), [cgutils.ir.Constant(index, i)])
-
-    def at(data, i):
-        value = builder.load(place(data, i))
-        value.align = 8
-        return _Row(builder, value)
-
-    def number(data, i):
-        return _Row.of(builder, builder.load(builder.gep(data, [cgutils.ir.Constant(index, i)])))
-
-    f, x, errors, turn = [number(f, i) for i in range(34)], [at(Z, i) for i in range(9)], [], []
-    if len(e):
-        by = _Row.of(builder, e[1])
-        errors, turn = [by * at(e[0], i) for i in range(6)], [number(C, i) for i in range(9)]
-    for i, y in enumerate(_carried(x, errors, f, turn, 0.5 * f[0])):
-        builder.store(y.value, place(Z, i), align=8)
-    return context.get_dummy_value()
+# every step of the filter goes by `imu_steps` or `imu_hold` as they are compiled, so that bits stay the same
+build_panels(_carried, _carry_panel, _carry_alone, 34, 9, 6)
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
@@ -571,38 +504,6 @@ def _tick_rows(X, Phid, diagonal, T, moving):
             Z[j] = T[j]
 
 
-def _exchange(X, one, other, of_one, of_other):
-    """Two square blocks of panels, whose elements begin at `one` and `other` in X, transposed to where these begin."""
-    blocks = [X[begin : begin + WIDE * WIDE].reshape(WIDE, WIDE).T.copy() for begin in (one, other)]
-    for begin, block in zip((of_one, of_other), blocks, strict=True):
-        np.copyto(X[begin : begin + WIDE * WIDE], block.ravel())
-
-
-@infer_global(_exchange)
-class _OfExchange(AbstractTemplate):
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-
-@lower_builtin(_exchange, types.Array, *(types.Integer,) * 4)
-def _build_exchange(context, builder, kinds, arguments):
-    """In registers, see `registers.transposed`."""
-    index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
-    data = context.make_array(kinds.args[0])(context, builder, value=arguments[0]).data
-    places = []
-    for begin in arguments[1:]:
-        first = builder.bitcast(builder.gep(data, [begin]), row.as_pointer())
-        places.append([builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)])
-    blocks = [[builder.load(place) for place in block] for block in places[:2]]
-    for rows in blocks:
-        for value in rows:
-            value.align = 8
-    for block, rows in zip(places[2:], blocks, strict=True):
-        for place, value in zip(block, transposed(builder, rows), strict=True):
-            builder.store(value, place, align=8)
-    return context.get_dummy_value()
-
-
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _transpose(X, m):
     """Of a matrix in panels, as many as there are, in place."""
@@ -612,10 +513,10 @@ def _transpose(X, m):
         for q in range(p):
             # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
             lower, upper = q * size + p * square, p * size + q * square
-            _exchange(X, lower, upper, upper, lower)
+            exchange(X, lower, upper, upper, lower)
     for p in range(0, last + 1, 2):
         one, other = p * (size + square), min(p + 1, last) * (size + square)
-        _exchange(X, one, other, one, other)
+        exchange(X, one, other, one, other)
 
 
 @apart
@@ -799,41 +700,6 @@ def _is_diagonal(A, k):
     return True
 
 
-def _copy_row(A, i, B, j, known):
-    """Elements j to j + 8 of B to where those from i on stand in A: the first `known`, and zeros for the others."""
-    np.copyto(A[i : i + WIDE], np.where(np.arange(WIDE) < known, B[j : j + WIDE], 0.0))
-
-
-@infer_global(_copy_row)
-class _OfCopyRow(AbstractTemplate):
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-
-@lower_builtin(_copy_row, types.Array, types.Integer, types.Array, types.Integer, types.Integer)
-def _build_copy_row(context, builder, kinds, arguments):
-    """In one register: a panel is loaded in such rows, which have to wait for what was stored in other pieces."""
-    index, row = cgutils.ir.IntType(64), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
-    A, i, B, j, known = arguments
-    to, of = (
-        builder.bitcast(
-            builder.gep(context.make_array(kind)(context, builder, value=array).data, [begin]), row.as_pointer()
-        )
-        for kind, array, begin in ((kinds.args[0], A, i), (kinds.args[2], B, j))
-    )
-    value = builder.load(of)
-    value.align = 8
-    counts = cgutils.ir.VectorType(index, WIDE)
-    first = builder.insert_element(
-        cgutils.ir.Constant(counts, cgutils.ir.Undefined), known, cgutils.ir.Constant(index, 0)
-    )
-    same = cgutils.ir.Constant(cgutils.ir.VectorType(cgutils.ir.IntType(32), WIDE), [0] * WIDE)
-    places = cgutils.ir.Constant(counts, list(range(WIDE)))
-    kept = builder.icmp_signed("<", places, builder.shuffle_vector(first, first, same))
-    builder.store(builder.select(kept, value, cgutils.ir.Constant(row, [0.0] * WIDE)), to, align=8)
-    return context.get_dummy_value()
-
-
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X, m, moving):
@@ -844,9 +710,9 @@ def _to_panels(M, X, m, moving):
     for column in range(0, X.size // high, WIDE):
         begin, known = column * high, min(WIDE, m - column)
         for i in range(moving):
-            _copy_row(X, begin + i * WIDE, M, i * m + column, known)
+            copy_row(X, begin + i * WIDE, M, i * m + column, known)
         for i in range(moving, high):
-            _copy_row(X, begin + i * WIDE, M, int(0), int(0))
+            copy_row(X, begin + i * WIDE, M, int(0), int(0))
 
 
 @apart
@@ -859,7 +725,7 @@ def _from_panels(X, M, m, moving):
     columns = X.size // high
     for i in range(moving):
         for column in range(0, columns, WIDE):
-            _copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
+            copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
