@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.actions import Action
 from navfilter.filter.events import Event
-from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.model_change import Adoption
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
@@ -31,7 +32,7 @@ Actions = Generator[Action, None, Any]
 
 
 class FilterState(Protocol):
-    """A filter, as a monitor reads it; see `navfilter.filter.filter.Filter`."""
+    """A filter, as monitor and learning read it; see `navfilter.filter.filter.Filter`."""
 
     vehicle: Vehicle
     start: Start
@@ -47,9 +48,40 @@ class FilterState(Protocol):
     bench: Array
     plan: NDArray[np.int64]
 
+    foreseen: list[Adoption]
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+        ...
+
+    @property
+    def nav(self) -> Array:
+        """Nominal state, see `NavState.pack`; shape (17,)."""
+        ...
+
+    @property
+    def x(self) -> Array:
+        """Estimated error states behind the nine of navigation, shape (n - 9,)."""
+        ...
+
+    @property
+    def P(self) -> Array:
+        """Covariance of all error states as of the last fold, shape (n, n)."""
+        ...
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Irregularities so far."""
+        ...
+
     @property
     def state(self) -> NavState:
         """The state with its covariance, now."""
+        ...
+
+    def described_models(self, others: Mapping[str, Errors]) -> dict[str, Errors]:
+        """Error models put in force since the start, or others, without the constants of sensors that have jumped."""
         ...
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.filter import Filter
+from navfilter.filter.monitor import FilterState
 from navfilter.kernels import open_loop_residual
 
 __all__ = ["BETTER", "CONTRADICTED", "WORSE", "Stretches", "departure", "is_better", "is_near", "stretched", "told_by"]
@@ -59,7 +59,7 @@ class Stretches:
         return _normal(self.length / (AGREED * self.freedom), self.freedom) if self.freedom else 0.0
 
 
-def stretched(filter: Filter, before: Stretches, time_s: float) -> Stretches:
+def stretched(filter: FilterState, before: Stretches, time_s: float) -> Stretches:
     """With the stretch that ends at a time [s]; without any before, one begins there.
 
     Notes
@@ -80,7 +80,7 @@ def stretched(filter: Filter, before: Stretches, time_s: float) -> Stretches:
     return Stretches(time_s, now[0], now[1:], before.length + told[0], before.freedom + told[1])
 
 
-def is_better(described: Filter, learnt: Filter, told: Stretches) -> bool:
+def is_better(described: FilterState, learnt: FilterState, told: Stretches) -> bool:
     """Whether the constants speak less against a filter with the models as described than against one with those that
     were learnt: by how far they have gone from their prior, or as they are less sure where they disagree with
     themselves.
@@ -93,13 +93,13 @@ def is_better(described: Filter, learnt: Filter, told: Stretches) -> bool:
     return told.disagreement >= CONTRADICTED > against and bool(less_sure)
 
 
-def told_by(filter: Filter) -> set[str]:
+def told_by(filter: FilterState) -> set[str]:
     """Sensors that tell the position of a vehicle whose constants are not known for certain."""
     sensors = filter.vehicle.sensors if filter.layout.constants[0].size else {}
     return {name for name, sensor in sensors.items() if sensor.open_loop == open_loop_residual.POSITION}
 
 
-def is_near(filter: Filter) -> bool:
+def is_near(filter: FilterState) -> bool:
     """Whether the constants are so near to what was believed of them that their `departure` is below `CONTRADICTED`,
     for certain: that is so nearly always, and told without a decomposition.
 
@@ -115,7 +115,7 @@ def is_near(filter: Filter) -> bool:
     return bool(open_loop_residual.is_within(filter.x, filter.P, at, mean, variance, limit))
 
 
-def departure(filter: Filter) -> float:
+def departure(filter: FilterState) -> float:
     """How far all constants together have gone from what was believed of them at the start, in standard deviations of a
     normal variate: about N(0, 1) where prior and error models are right, 0 while nothing tells them.
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.events import Correction, Event, Measurement, Outcome, Passed, Propagated, Relaid, StoodIn
-from navfilter.filter.filter import Filter
 from navfilter.filter.model_change import Change, adoption
+from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import open_loop_residual
 from navfilter.learning import consistency
@@ -44,7 +44,7 @@ class LearningSchedule:
 
     Parameters
     ----------
-    filter : Filter
+    filter : FilterState
     behind_s : float
         Readings may come so late [s]: nothing newer is learnt from, and going back by as much is possible.
     worker : Worker, optional
@@ -75,7 +75,7 @@ class LearningSchedule:
     #: Until then the constants of the vehicle are asked so often whether they speak against the learnt models [s].
     ASKED_S = 5.0
 
-    def __init__(self, filter: Filter, behind_s: float, worker: Worker | None = None) -> None:
+    def __init__(self, filter: FilterState, behind_s: float, worker: Worker | None = None) -> None:
         self.filter, self.behind_s, self.worker = filter, behind_s, worker or Worker(threads=False)
         self.listeners: dict[str, Listener] = {}
         vehicle, start_s = filter.vehicle, filter.time_s

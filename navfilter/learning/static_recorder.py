@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.filter import Filter
+from navfilter.filter.monitor import FilterState
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.model_reduction import hand_over, plainer
@@ -273,7 +273,7 @@ class RestRecorder:
         return {name: memory.models[axes] for name, axes in PARTS.items() if memory.models[axes] != before[axes]}
 
 
-def estimates(filter: Filter) -> tuple[Array, Array]:
+def estimates(filter: FilterState) -> tuple[Array, Array]:
     """Velocity and error of the gyros, each above its standard deviation, shape (2, 3), as of the last time the
     covariance moved.
     """
