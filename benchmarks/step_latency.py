@@ -35,8 +35,8 @@ from harness import DEG, Array, Options, Table, flag, hour, main, quick
 import navfilter as nf
 from navfilter.filter.filter import Filter
 from navfilter.learning.background import Worker
-from navfilter.learning.open_loop_series import Listener
-from navfilter.navigation.early_rerun import Twin
+from navfilter.learning.open_loop_series import OpenLoopSeries
+from navfilter.navigation.early_rerun import ShadowRun
 from navfilter.navigation.history import History
 from navfilter.playback.replay import drive_samples
 
@@ -56,10 +56,10 @@ WATCHED = {
     "checkpoint": (History, "_mark"),
     "rewinding": (History, "late"),
     "adoption": (Filter, "adopt"),
-    "look begun": (Listener, "begin_hop"),
-    "answer taken": (Listener, "learnt"),
-    "twin made": (Twin, "__init__"),
-    "twin awaited": (Twin, "arrived"),
+    "look begun": (OpenLoopSeries, "begin_hop"),
+    "answer taken": (OpenLoopSeries, "learnt"),
+    "twin made": (ShadowRun, "__init__"),
+    "twin awaited": (ShadowRun, "arrived"),
     "thread told": (Worker, "begin"),
 }
 START = """

@@ -1,4 +1,6 @@
-"""Readings of a sensor whose lever arm and clock are states, as NumPy: a twin of `navfilter.kernels.delayed_state.sight`."""
+"""Readings of a sensor whose lever arm and clock are states, as NumPy: a twin of
+`navfilter.kernels.delayed_state.sight`.
+"""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@ from feeding import once_a_second
 
 import navfilter as nf
 from navfilter.faults import policy, refusals, sensor_bias
-from navfilter.faults.refusals import Refusals
+from navfilter.faults.refusals import RejectionRun
 from navfilter.foundation.state_values import differences
 from navfilter.models.fault_bias import (
-    Offset,
-    Proportion,
+    FaultBias,
+    FaultScale,
     offset_states,
     proportions,
     with_offsets,
@@ -176,7 +176,7 @@ def test_a_dvl_whose_scale_jumps_leaves_the_velocity_alone():
 
 def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
     opened = with_offsets((nf.White(sd=0.01),) * 3, 0.1, at_m_s=2.0)
-    assert opened[0] == nf.White(sd=0.01) + Offset(start_sd=0.1) + Proportion(start_sd=0.1, at_m_s=2.0)
+    assert opened[0] == nf.White(sd=0.01) + FaultBias(start_sd=0.1) + FaultScale(start_sd=0.1, at_m_s=2.0)
     (axis, state), at_m_s = proportions(opened, 0.25)
     assert axis.tolist() == [0, 1, 2] and state.tolist() == [1, 3, 5] and at_m_s.tolist() == [2.0] * 3
     vehicle, mission = dive()
@@ -235,7 +235,7 @@ def test_a_model_that_is_learnt_keeps_the_constant():
     nav.adopt("compass", nf.GaussMarkov(sd=0.012, tau_s=25.0) + nf.White(sd=0.002))
     assert nav.filter.channels["compass"].offset
     assert abs(nav.errors["compass[1]"] - before) < 0.05
-    assert not any("Offset" in str(model) for model in nav.filter.described_models({})["compass"])
+    assert not any("FaultBias" in str(model) for model in nav.filter.described_models({})["compass"])
 
 
 # --- the parts -------------------------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ def refusals_of(residual, jumped=False):
 
 def test_what_is_remembered_of_limits_does_not_grow_with_refusals():
     """A compass that is refused for good has one more of them with each reading, all day."""
-    run = Refusals(True, True, (0.0,), (0.0,), (1.0,), (1.0,), 0.0, 0.0, misfit=1.0)
+    run = RejectionRun(True, True, (0.0,), (0.0,), (1.0,), (1.0,), 0.0, 0.0, misfit=1.0)
     asked = [dataclasses.replace(run, dof=dof).scatters for dof in range(1, 1000)]
     assert not any(asked) and refusals._limit.cache_info().currsize < 100
 
@@ -294,13 +294,13 @@ def test_offsets_stand_beside_error_models():
     models = (nf.White(sd=0.1), nf.GaussMarkov(sd=1.0, tau_s=5.0) + nf.White(sd=0.1))
     opened = with_offsets(models, 2.0)
     assert offset_states(opened, 1.0).tolist() == [0, 2]
-    assert [model.parts[-1] for model in opened] == [Offset(start_sd=2.0)] * 2
+    assert [model.parts[-1] for model in opened] == [FaultBias(start_sd=2.0)] * 2
     assert with_offsets(opened) == models and not offset_states(models, 1.0).size
-    assert with_offsets(opened, 4.0)[0] == nf.White(sd=0.1) + Offset(start_sd=4.0)
+    assert with_offsets(opened, 4.0)[0] == nf.White(sd=0.1) + FaultBias(start_sd=4.0)
     other = (nf.White(sd=0.3), nf.White(sd=0.4))
     assert with_the_same_offsets(other, opened) == with_offsets(other, 2.0)
     assert with_the_same_offsets(other, models) == other
-    assert Refusals(True, True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()
+    assert RejectionRun(True, True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()
 
 
 def test_a_dvl_whose_sign_changes_for_a_minute_of_turns_is_taken_back():

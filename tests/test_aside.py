@@ -9,7 +9,7 @@ from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter.faults import velocity_fault
-from navfilter.faults.velocity_fault import Aside
+from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.foundation.state_values import differences
 from navfilter.models.fault_bias import has_offset
 from navfilter.navigation import runner
@@ -70,14 +70,14 @@ def test_one_that_stays_so_bounds_the_velocity(change):
     assert counts["jumped"] == 1 and has_offset(models)
 
 
-SIGN = Aside(1.5, (-1.5, 0.0, 0.0), (-3.0, 0.0, 0.0))
+SIGN = VelocityFault(1.5, (-1.5, 0.0, 0.0), (-3.0, 0.0, 0.0))
 
 
 def test_what_reads_the_same_is_the_same_and_worth_the_less_the_more_it_differs():
     assert velocity_fault.unchanged(SIGN, np.array([-1.45, 0.02, np.nan]))
     assert not velocity_fault.unchanged(SIGN, np.array([-1.4, 0.0, 0.0]))  # it sails faster or slower: nobody knows
     assert not velocity_fault.unchanged(SIGN, np.full(3, np.nan))
-    assert not velocity_fault.unchanged(Aside(1.5, (math.nan,) * 3, (-1.5, 0.0, 0.0)), np.zeros(3))
+    assert not velocity_fault.unchanged(VelocityFault(1.5, (math.nan,) * 3, (-1.5, 0.0, 0.0)), np.zeros(3))
     found = velocity_fault.variances(SIGN, np.array([-1.45, 0.0, np.nan]), np.full(3, 1e-4))
     np.testing.assert_allclose(found, [1e-4 + 0.1**2, 1e-4, 1e-4])  # of another sign: twice the change
 

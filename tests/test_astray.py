@@ -10,7 +10,7 @@ from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign
-from navfilter.faults.heading_fault import Course, led_astray, told_by_fixes
+from navfilter.faults.heading_fault import TrackRotationFit, led_astray, told_by_fixes
 from navfilter.foundation.state_values import differences
 from navfilter.models.fault_bias import has_offset
 from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, simulate_scenario, survey_vehicle
@@ -115,7 +115,7 @@ def test_a_way_that_is_turned_is_told_from_one_that_is_drawn_off():
     nav[15] = nav[16] = RADIUS_M
 
     def fitted(fixes):
-        course = Course(0.0, 0.0, 0.0)
+        course = TrackRotationFit(0.0, 0.0, 0.0)
         for t, place, fix in zip(time_s, way, fixes, strict=True):
             nav[0], nav[1] = place / RADIUS_M
             course = course.and_then(t, nav, fix - place)

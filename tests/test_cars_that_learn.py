@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 import navfilter as nf
 from navfilter.evaluation.baselines import rivals
 from navfilter.learning.axis_learner import Learner
-from navfilter.learning.consistency import CONTRADICTED, Stretches, stretched
+from navfilter.learning.consistency import CONTRADICTED, ConsistencyRecord, stretched
 from navfilter.learning.fast_prior import quick_description
 from navfilter.learning.slow_prior import slow_prior
 from navfilter.models.learned_arma import DEFAULT_ORDERS
@@ -222,7 +222,7 @@ class Told:
 
 def disagreement(noise, rng, k=4, stretches=25):
     """Constants told by least squares, by readings whose noise is so many times as large as is believed."""
-    truth, x, P, told = rng.standard_normal(k), np.zeros(k), np.eye(k), Stretches()
+    truth, x, P, told = rng.standard_normal(k), np.zeros(k), np.eye(k), ConsistencyRecord()
     for i in range(stretches):
         told = stretched(Told(x, P), told, float(i))
         H = rng.standard_normal((3, k))
@@ -240,7 +240,7 @@ def test_stretches_agree_where_models_are_right_and_disagree_where_they_are_too_
 
 
 def test_nothing_disagrees_before_two_stretches():
-    told = stretched(Told(np.zeros(2), np.eye(2)), Stretches(), 0.0)
+    told = stretched(Told(np.zeros(2), np.eye(2)), ConsistencyRecord(), 0.0)
     assert told.disagreement == 0.0
     assert stretched(Told(np.ones(2), np.eye(2)), told, 0.0) is told
-    assert stretched(Told(np.zeros(0), np.zeros((0, 0))), Stretches(), 5.0).disagreement == 0.0
+    assert stretched(Told(np.zeros(0), np.zeros((0, 0))), ConsistencyRecord(), 5.0).disagreement == 0.0

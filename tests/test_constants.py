@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import navfilter
-from navfilter.learning.settings import Effort
+from navfilter.learning.settings import OptimiserSettings
 from navfilter.timeseries.order_criterion import CRITERIA, Challenge, Choice, criterion
 
 ROOT = Path(navfilter.__file__).parent
@@ -39,13 +39,13 @@ def test_no_constant_of_the_learning_path_is_defined_twice():
 
 
 def test_every_field_of_the_effort_is_explained():
-    described = Effort.__doc__
-    assert [name for name in Effort.__dataclass_fields__ if name not in described] == []
+    described = OptimiserSettings.__doc__
+    assert [name for name in OptimiserSettings.__dataclass_fields__ if name not in described] == []
 
 
 def test_every_field_of_the_effort_is_used():
     used = "".join(path.read_text() for path in (ROOT / "learning").glob("*.py"))
-    assert [name for name in Effort.__dataclass_fields__ if f"EFFORT.{name}" not in used] == []
+    assert [name for name in OptimiserSettings.__dataclass_fields__ if f"EFFORT.{name}" not in used] == []
 
 
 @pytest.mark.parametrize("name", CRITERIA)

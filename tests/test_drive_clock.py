@@ -9,7 +9,7 @@ from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
 from navfilter.faults.clocks import sensor_clock
-from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
+from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.simulation.scenarios import simulate_scenario
 
 SET_S, END_S = 12.0, 20.0
@@ -110,7 +110,7 @@ def test_a_pause_of_everything_is_what_it_was():
     events = [e for e in events_of(vehicle, mission) if not SET_S < e.time_s < SET_S + 3.0]
     nav, _ = flown(vehicle, mission, events)
     plain = nf.Navigator(vehicle, mission.start, threads=False)
-    plain.clock = DriveClock(vehicle.drive.period_s, live=False)
+    plain.clock = ImuClockMonitor(vehicle.drive.period_s, live=False)
     one_by_one(plain, events)
     assert nav.health == plain.health and nav.health.drive_clock_offset_s == 0.0 and nav.counts["gap"] == 1
     np.testing.assert_array_equal(nav.state.covariance, plain.state.covariance)
@@ -145,10 +145,10 @@ def test_what_waits_is_in_a_snapshot(dive):
 
 
 def test_without_an_answer_samples_go_on_as_they_are():
-    clock = DriveClock(0.01, live=True)
+    clock = ImuClockMonitor(0.01, live=True)
     row = lambda t: np.array([[t, *np.zeros(6)]])  # noqa: E731
     assert len(clock.take(row(1.0))) == 1
-    assert clock.hear(Arrived("compass", 1.0, 0.0, None)) is None
+    assert clock.hear(ReceivedMeasurement("compass", 1.0, 0.0, None)) is None
     passed = [clock.take(row(3.0 + 0.01 * k)) for k in range(120)]
     assert not clock.holds and sum(len(part) for items in passed for part in items) == 120
     assert sum(not items for items in passed) == 101  # those of a second, and the first of them
@@ -247,7 +247,7 @@ def test_of_a_drive_that_falls_silent_nothing_waits_for_ever():
     events = [e for e in events_of(vehicle, mission) if e.sensor != DRIVE or not SET_S < e.time_s < SET_S + 8.0]
     nav, _ = flown(vehicle, mission, events)
     plain = nf.Navigator(vehicle, mission.start, threads=False)
-    plain.clock = DriveClock(vehicle.drive.period_s, live=False)
+    plain.clock = ImuClockMonitor(vehicle.drive.period_s, live=False)
     one_by_one(plain, events)
     assert nav.health.drive["silent"] and not nav.clock.memory.early
     np.testing.assert_array_equal(nav.state.covariance, plain.state.covariance)
@@ -299,14 +299,14 @@ def test_the_first_readings_of_a_clock_that_was_set_wait_until_that_is_told(sens
 
 @pytest.mark.parametrize("rate_hz", [4.0, 1.0])
 def test_nothing_waits_for_a_drive_that_falls_silent_beside_a_single_sensor(rate_hz):
-    clock = DriveClock(0.01, live=True, ahead_s=1.0)
+    clock = ImuClockMonitor(0.01, live=True, ahead_s=1.0)
     row = lambda t: np.array([[t, *np.zeros(6)]])  # noqa: E731
     held = []
     for k in range(1, 3 * round(rate_hz)):
         clock.take(np.vstack([row(k / rate_hz - 0.01 * j) for j in range(round(100 / rate_hz) - 1, -1, -1)]))
-        assert clock.hear(Arrived("dvl", k / rate_hz, 0.0, None)) is None
+        assert clock.hear(ReceivedMeasurement("dvl", k / rate_hz, 0.0, None)) is None
     for k in range(3 * round(rate_hz), 12 * round(rate_hz)):
-        went = clock.hear(Arrived("dvl", k / rate_hz, 0.0, None))
+        went = clock.hear(ReceivedMeasurement("dvl", k / rate_hz, 0.0, None))
         held.append(len(clock.memory.early))
         assert went is None or held[-1] or went[-1].time_s == k / rate_hz
     assert held[0] <= 1 and held[-1] == 0
@@ -314,11 +314,11 @@ def test_nothing_waits_for_a_drive_that_falls_silent_beside_a_single_sensor(rate
 
 def test_readings_that_wait_for_their_clock_go_on_where_all_are_ahead():
     """Then it is the drive's: nothing is kept, and nothing moved."""
-    clock = DriveClock(0.01, live=True, ahead_s=5.0)
+    clock = ImuClockMonitor(0.01, live=True, ahead_s=5.0)
     clock.take(np.array([[t, *np.zeros(6)] for t in np.arange(0.0, 2.0, 0.01)]))
     for name in ("compass", "dvl"):
-        assert clock.hear(Arrived(name, 1.99, 0.0, None)) is None
-    assert clock.hear(Arrived("dvl", 3.0, 0.0, None)) == []
-    went = clock.hear(Arrived("compass", 3.1, 0.0, None))
+        assert clock.hear(ReceivedMeasurement(name, 1.99, 0.0, None)) is None
+    assert clock.hear(ReceivedMeasurement("dvl", 3.0, 0.0, None)) == []
+    went = clock.hear(ReceivedMeasurement("compass", 3.1, 0.0, None))
     assert [(one.name, one.time_s) for one in went] == [("dvl", 3.0), ("compass", 3.1)]
     assert not clock.memory.early

@@ -9,7 +9,7 @@ import pytest
 from kernel_inputs import assert_close, random_nav
 
 import navfilter as nf
-from navfilter.faults.imu.monitor import CONDITIONS, DriveWatch
+from navfilter.faults.imu.monitor import CONDITIONS, ImuMonitor
 from navfilter.kernels import imu_checks as kernel
 from navfilter.simulation.presets import mems_imu, tactical_imu
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario
@@ -31,7 +31,7 @@ def quiet(drive, seconds, seed=1, step=None):
 
 def watched(drive, samples, w=None):
     """Times [s] at which conditions changed, and what they changed to."""
-    watch = DriveWatch(drive)
+    watch = ImuMonitor(drive)
     w = watch.fresh() if w is None else w
     nav = nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack()
     watch.refer(w, nav, np.zeros((9, 9)))
@@ -193,7 +193,7 @@ def test_of_a_unit_without_any_error_described_noise_and_spikes_are_not_judged()
     samples = quiet(drive, 30.0)
     samples[:1200, 1:] = LEVEL
     samples[2000, 3] += 2.0
-    watch, w = DriveWatch(drive), DriveWatch(drive).fresh()
+    watch, w = ImuMonitor(drive), ImuMonitor(drive).fresh()
     watch.refer(w, nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack(), np.zeros((9, 9)))
     at = 0
     while at < len(samples):
@@ -208,8 +208,8 @@ def test_of_a_unit_without_any_error_described_noise_and_spikes_are_not_judged()
 def test_the_kernel_and_its_twin(seed, increments, described):
     rng = np.random.default_rng(seed)
     drive = tactical_imu(increments=increments)
-    w = DriveWatch(drive).fresh()
-    DriveWatch(drive).refer(w, random_nav(rng), np.zeros((9, 9)))
+    w = ImuMonitor(drive).fresh()
+    ImuMonitor(drive).refer(w, random_nav(rng), np.zeros((9, 9)))
     twin, sd = w.copy(), np.sqrt([model.block(drive.period_s).r for model in drive.models]) * described
     samples = quiet(drive, 30.0, seed, 0.7 if seed % 2 else None)
     w[kernel.UNIT, kernel.REFERENCE : kernel.REFERENCE + 3] = twin[6, 5:8] = LEVEL[3:]

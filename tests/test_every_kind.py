@@ -150,15 +150,15 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     together = nf.replay(vehicle, mission, smooth=True)
     taken = sum(residuals.count("used") for residuals in together.residuals.values())
     assert 0 < len(calls) < 0.5 * taken or defects
-    at_the_end = at_the_end(vehicle, mission)
+    end_state = at_the_end(vehicle, mission)
     one_by_one(monkeypatch)
     assert_same(together, nf.replay(vehicle, mission, smooth=True))
     nav = nf.Navigator(vehicle, mission.start, history_s=0.0)
     feeding.one_by_one(nav, feeding.events_of(vehicle, mission))
     nav.finish()
-    same_runs.assert_same_bits(nav, at_the_end)
+    same_runs.assert_same_bits(nav, end_state)
     assert {n: w.health(nav.time_s) for n, w in nav.watches.items()} == {
-        n: w.health(nav.time_s) for n, w in at_the_end.watches.items()
+        n: w.health(nav.time_s) for n, w in end_state.watches.items()
     }
 
 

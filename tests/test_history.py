@@ -12,7 +12,7 @@ import navfilter as nf
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import bias_drift
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.navigation.early_rerun import Twin
+from navfilter.navigation.early_rerun import ShadowRun
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -69,11 +69,11 @@ def test_a_twin_takes_no_place_while_a_late_reading_is_put_in_its_own(monkeypatc
     vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=prior, window=400, hop=200))
     events, made_s = events_of(vehicle, mission), []
 
-    def noted(twin, nav, *args, init=Twin.__init__):
+    def noted(twin, nav, *args, init=ShadowRun.__init__):
         made_s.append(nav.time_s)
         init(twin, nav, *args)
 
-    monkeypatch.setattr(Twin, "__init__", noted)
+    monkeypatch.setattr(ShadowRun, "__init__", noted)
     navs = [nf.Navigator(vehicle, mission.start, threads=threads) for threads in (True, True, False)]
     one_by_one(navs[0], events)
     since_s = made_s[0]

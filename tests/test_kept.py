@@ -8,7 +8,7 @@ import pytest
 from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import from_arrays, to_arrays
-from navfilter.learning.input_buffer import PIECE, Kept, Rows
+from navfilter.learning.input_buffer import PIECE, InputBuffer, Rows
 
 NAMES = ("compass", "dvl", "gps")
 
@@ -27,7 +27,7 @@ def some(n, seed=0, samples=40):
 
 
 def kept_of(items):
-    kept = Kept(NAMES)
+    kept = InputBuffer(NAMES)
     for item in items:
         kept.append(item)
     return kept
@@ -50,7 +50,7 @@ def assert_same(found, items):
 def test_what_was_kept_comes_back(samples):
     items = some(60, samples=samples)
     assert_same(kept_of(items).inputs(), items)
-    assert Kept(NAMES).inputs() == []
+    assert InputBuffer(NAMES).inputs() == []
 
 
 def test_many_at_once_are_one_after_the_other():
@@ -116,7 +116,7 @@ def test_they_are_stored_and_go_on(n):
     items = some(200, samples=100)
     kept = kept_of(items)
     stored = kept.first(*kept_of(items[:n]).count)
-    again = from_arrays(to_arrays(stored), [Kept, Rows]).again(NAMES)
+    again = from_arrays(to_arrays(stored), [InputBuffer, Rows]).again(NAMES)
     assert_same(again.inputs(), items[:n])
     for item in items[n:]:
         again.append(item)
@@ -130,7 +130,7 @@ def test_they_are_of_the_sensors_of_one_vehicle():
 
 def test_there_is_little_to_look_through():
     """Python's collector goes through what lives in the middle of a call."""
-    kept = Kept(NAMES)
+    kept = InputBuffer(NAMES)
     before = len(gc.get_objects())
     for item in some(3000, samples=3):
         kept.append(item._replace(sd=None) if isinstance(item, Measurement) else item)

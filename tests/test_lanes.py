@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.faults.lane_selection import FULL, MARGIN, STEP_S, Choice
+from navfilter.faults.lane_selection import FULL, MARGIN, STEP_S, LaneChoice
 from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.io.json_lines import LineParser
@@ -97,7 +97,7 @@ def fed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf, clock=float)
 def choice_with(gains, seconds=5.0):
     """A choice after readings that the lanes (two inertial ones, one without) foretold with these errors [sd]."""
     sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
-    choice = Choice([True, True, False], sensors, 0.0)
+    choice = LaneChoice([True, True, False], sensors, 0.0)
     for second in range(round(seconds / STEP_S)):
         choice.decide_until((second + 0.5) * STEP_S)
         for lane, errors in enumerate(gains):
@@ -140,7 +140,7 @@ def test_an_outlier_that_nobody_foretold_counts_for_nobody():
 
 def test_a_lane_that_says_nothing_is_short_of_all_that_was_foretold():
     sensors = {"depth": nf.Depth(error=nf.White(sd=0.1))}
-    choice = Choice([True, True], sensors, 0.0)
+    choice = LaneChoice([True, True], sensors, 0.0)
     for k in range(round(2.0 * MARGIN / FULL)):
         choice.hear(1, 0, k * STEP_S, [0.0], [0.01])
         choice.decide_until((k + 1.5) * STEP_S)
@@ -153,7 +153,7 @@ def test_looking_at_the_parts_of_the_minute_only_where_it_matters_changes_nothin
     sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
     found = []
     for bounded in (True, False):
-        rng, choice, changes = np.random.default_rng(seed), Choice([True, True, False], sensors, 0.0), []
+        rng, choice, changes = np.random.default_rng(seed), LaneChoice([True, True, False], sensors, 0.0), []
         for k in range(600):
             if not bounded:
                 choice.memory.ahead[:] = math.inf
@@ -176,7 +176,7 @@ def followed(off, seconds=20.0, own=None):
     """The choice after readings of a velocity that contradicts a unit by these amounts [m/s], shape (n, 3), while the
     lane without one follows it; when it took that lane, and why.
     """
-    choice = Choice([True, False], {"dvl": nf.BodyVelocity(rate_hz=RATE_HZ, error=nf.White(sd=SD))}, 0.0)
+    choice = LaneChoice([True, False], {"dvl": nf.BodyVelocity(rate_hz=RATE_HZ, error=nf.White(sd=SD))}, 0.0)
     changes = []
     for k in range(round(seconds * RATE_HZ)):
         time_s = k / RATE_HZ

@@ -7,7 +7,7 @@ import pytest
 from test_lanes import changed, fed, swapped, vehicle_of
 
 import navfilter as nf
-from navfilter.faults.lane_selection import MARGIN, STEP_S, Choice
+from navfilter.faults.lane_selection import MARGIN, STEP_S, LaneChoice
 from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation.lanes.replay import LaneReplay
@@ -27,7 +27,7 @@ def heard(gains, carried, seconds=20.0):
     something stood in for or not.
     """
     sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
-    choice = Choice([True] * len(gains), sensors, 0.0)
+    choice = LaneChoice([True] * len(gains), sensors, 0.0)
     for k in range(round(seconds / STEP_S)):
         choice.decide_until((k + 0.5) * STEP_S)
         for lane, told in enumerate(gains):

@@ -19,8 +19,8 @@ from scipy.stats import chi2
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
-from navfilter.learning.axis_learner import Learner, Look
-from navfilter.learning.learned_model import Learnt
+from navfilter.learning.axis_learner import AxisFit, Learner
+from navfilter.learning.learned_model import LearnedModel
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.spikes import without_spikes
 from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
@@ -296,7 +296,7 @@ class Says:
 
     def look(self, series, fresh):
         found = self.found.pop(0)
-        return None if found is None else Look(series, None, found, None, series.size)
+        return None if found is None else AxisFit(series, None, found, None, series.size)
 
     def say(self, look, doubt, present):
         return look.point
@@ -312,7 +312,7 @@ def test_where_nothing_is_learnt_the_last_model_stays():
     at = np.array([0.01, 1.0])
     spectrum = Spectrum.weighted(at, np.ones((1, 2)), np.ones(1))
     slow = nf.GaussMarkov(sd=0.01, tau_s=60.0), nf.GaussMarkov(sd=0.02, tau_s=300.0)
-    good = Learnt(ArmaModel([-0.9], [], 0.001, sd_log_s0=0.2), slow, spectrum)
+    good = LearnedModel(ArmaModel([-0.9], [], 0.001, sd_log_s0=0.2), slow, spectrum)
     listener.learners = (Says(None, good, None, good),)
 
     def learn():

@@ -11,7 +11,7 @@ from faults_run import dived, truth_at
 from feeding import DRIVE
 
 import navfilter as nf
-from navfilter.models.fault_bias import Offset, deviations, offset_states, with_offsets
+from navfilter.models.fault_bias import FaultBias, deviations, offset_states, with_offsets
 from navfilter.simulation.scenarios import COMPASS, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
@@ -196,4 +196,4 @@ def test_constants_of_one_component_only():
     assert [isinstance(model, nf.White) for model in models] == [False, True, True]
     assert offset_states(models, 1.0).tolist() == [0, 1] == offset_states(models, 1.0, 0).tolist()
     assert offset_states(models, 1.0, 2).size == 0
-    assert with_offsets((nf.White(sd=0.1),) * 2, 2.0)[1] == nf.White(sd=0.1) + Offset(start_sd=2.0)
+    assert with_offsets((nf.White(sd=0.1),) * 2, 2.0)[1] == nf.White(sd=0.1) + FaultBias(start_sd=2.0)

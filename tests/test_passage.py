@@ -12,7 +12,7 @@ from feeding import one_by_one as feed_one_by_one
 from kernel_inputs import assert_close
 
 import navfilter as nf
-from navfilter.filter.record_store import Spool
+from navfilter.filter.record_store import RecordStore
 from navfilter.filter.records import Tape
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch as kernels
@@ -174,7 +174,7 @@ def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, constants, monk
     if defects:
         mission = with_defects(survey(60.0)[1]).between(0.0, 50.0)
     monkeypatch.setattr(runner, "ROWS", 40)
-    monkeypatch.setattr(Spool, "CHUNK", 40 * 200)
+    monkeypatch.setattr(RecordStore, "CHUNK", 40 * 200)
     track, at_readings = (nf.replay(vehicle, mission, output_rate_hz=rate) for rate in (None, np.inf))
     assert np.isin(mission.streams["imu"].time_s, track.time_s).all() and (np.diff(track.time_s) > 0.0).all()
     assert_same(track.keep(np.isin(track.time_s, at_readings.time_s)), at_readings)
@@ -200,7 +200,7 @@ def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, constants, monk
 @pytest.mark.parametrize("smooth", [False, True])
 def test_a_silence_of_all_sensors_longer_than_the_room_for_rows(smooth, monkeypatch):
     monkeypatch.setattr(runner, "ROWS", 8)
-    monkeypatch.setattr(Spool, "CHUNK", 1)
+    monkeypatch.setattr(RecordStore, "CHUNK", 1)
     vehicle, mission = survey(30.0)
     for name in vehicle.sensors:
         mission = mission.hide(name, (2.0, 27.0))

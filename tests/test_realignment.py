@@ -10,7 +10,7 @@ from feeding import DRIVE, Event, delayed, events_of, in_blocks, one_by_one
 
 import navfilter as nf
 from navfilter.faults.imu import realignment
-from navfilter.filter.imu_intake import Intake
+from navfilter.filter.imu_intake import ImuIntake
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.models.state import NavState, matrix_from_euler, rotation_matrix
@@ -119,12 +119,12 @@ def test_a_drive_that_is_late_is_not_silent(dive):
 
 @pytest.mark.parametrize("stamps", [[3600.0] * 9, [9.0, 90.0, 900.0, 2.0, 7.0], [5.0, 5.0, 5.0, 5.0]])
 def test_wild_stamps_make_no_drive_silent(stamps):
-    intake = Intake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
+    intake = ImuIntake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
     assert all(intake.missing(stamp, 0.0) is None for stamp in stamps)
 
 
 def test_readings_that_agree_make_it_silent():
-    intake = Intake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
+    intake = ImuIntake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
     found = [intake.missing(stamp, 0.0) for stamp in np.arange(1.1, 4.6, 0.5)]
     assert all(one is None for one in found[:-1]) and intake.memory.ahead == len(found)
     steps, stamps = found[-1]
@@ -133,7 +133,7 @@ def test_readings_that_agree_make_it_silent():
 
 def test_readings_that_agree_on_a_leap_of_hours_carry_nothing():
     """Not even where the drive is known to be silent: for years there would be no memory."""
-    intake = Intake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
+    intake = ImuIntake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
     assert [intake.missing(stamp, 0.0) is None for stamp in np.arange(1.1, 4.6, 0.5)][-1] is False
     assert all(intake.missing(stamp, 4.1) is None for stamp in (5.6e10, 5.6e10, 5.6e10))
     assert intake.missing(4.6, 4.1) is None and len(intake.missing(5.1, 4.1)[1]) == 100
@@ -226,10 +226,10 @@ def test_unheard_it_has_gone_no_further_than_it_can(dive):
 
 def test_a_level_by_accelerometers_whose_biases_are_open_replaces_no_tilt():
     flat = np.zeros(3)
-    assert realignment.Level(flat, 0.03**2, 1.0, 0.06).knows_better
-    assert not realignment.Level(flat, 0.15**2, 1.0, 0.06).knows_better  # 150 mg
-    assert not realignment.Level(flat, 0.03**2, 1.0, 0.04).knows_better  # known well enough
-    assert realignment.Level(flat, 0.15**2, 31.0, 0.04).knows_better
+    assert realignment.AccelerometerLevel(flat, 0.03**2, 1.0, 0.06).knows_better
+    assert not realignment.AccelerometerLevel(flat, 0.15**2, 1.0, 0.06).knows_better  # 150 mg
+    assert not realignment.AccelerometerLevel(flat, 0.03**2, 1.0, 0.04).knows_better  # known well enough
+    assert realignment.AccelerometerLevel(flat, 0.15**2, 31.0, 0.04).knows_better
 
 
 def test_a_bias_that_jumps_is_not_taken_for_a_tilt():

@@ -10,7 +10,7 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.faults.heading_fault import Course, rather_drawn, seen_turned
+from navfilter.faults.heading_fault import TrackRotationFit, rather_drawn, seen_turned
 from navfilter.models.fault_bias import has_offset
 from navfilter.models.state import wrap
 from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, survey
@@ -177,7 +177,7 @@ def test_a_velocity_that_goes_on_to_err_at_rest_gets_a_constant(dive, wrong):
 
 def course(fix_velocity, way_velocity=(1.5, 0.0), seconds=100):
     """Fixes once a second that have made a straight way, and the way reckoned."""
-    made = Course(0.0, 0.0, 0.0)
+    made = TrackRotationFit(0.0, 0.0, 0.0)
     for t in range(seconds):
         way = t * np.array(way_velocity)
         made = made.plus(float(t), way, t * np.array(fix_velocity) - way)

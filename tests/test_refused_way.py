@@ -13,9 +13,9 @@ from feeding import DRIVE, events_of, once_a_second
 
 import navfilter as nf
 from navfilter.faults import alternative_path, innovation_gate
-from navfilter.faults.alternative_path import RefusedWay, believable, followed, since_fix, with_refused
+from navfilter.faults.alternative_path import AlternativePath, believable, followed, since_fix, with_refused
 from navfilter.faults.imu import acceleration
-from navfilter.faults.refusals import Refusals
+from navfilter.faults.refusals import RejectionRun
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -53,7 +53,7 @@ def test_the_residuals_are_integrated_from_the_second_refused_reading_on(refusin
     assert way.length == pytest.approx(1.0)
     assert since_fix(filter, channel) == way
     filter.channels["gps"].memory.used_s = 31.0
-    assert since_fix(filter, channel) == RefusedWay()
+    assert since_fix(filter, channel) == AlternativePath()
 
 
 def test_one_that_has_jumped_counts_as_far_as_its_constants_do_not_explain_it(refusing, monkeypatch):
@@ -91,8 +91,8 @@ def test_wheels_that_are_refused_beside_their_constants_hold_the_position():
 def test_what_no_vehicle_can_do_does_not_count(refusing):
     filter, channel = refusing
     channel.note[3:6] = 1500.0, 0.0, 0.0
-    channel.faults.way = RefusedWay(10.0, 0.8, 0.6, 1.0)
-    assert with_refused(filter, channel, 10.25) == RefusedWay(10.25, 0.8, 0.6, 1.0)
+    channel.faults.way = AlternativePath(10.0, 0.8, 0.6, 1.0)
+    assert with_refused(filter, channel, 10.25) == AlternativePath(10.25, 0.8, 0.6, 1.0)
     # a vehicle of 4 m/s that is stated to make 5 may have turned back; one that says nothing may make twice as much
     assert believable(np.array([8.9, np.nan, 0.0]), 4.0, 5.0) and not believable(np.array([9.1, 0.0, 0.0]), 4.0, 5.0)
     assert believable(np.array([11.9, 0.0, 0.0]), 4.0, None) and not believable(np.array([12.1, 0.0, 0.0]), 4.0, None)
@@ -101,7 +101,7 @@ def test_what_no_vehicle_can_do_does_not_count(refusing):
 def test_where_the_state_was_wrong_the_position_follows(refusing):
     filter, channel = refusing
     filter.memory.P[8, 8] = 0.02**2
-    channel.faults.way = RefusedWay(10.0, 30.0, 40.0, 60.0)
+    channel.faults.way = AlternativePath(10.0, 30.0, 40.0, 60.0)
     before = filter.memory.nav[:3].copy()
     variance = followed(filter, channel)
     moved = (filter.memory.nav[:3] - before) * [RADIUS_M, RADIUS_M * math.cos(before[0]), 1.0]
@@ -110,7 +110,7 @@ def test_where_the_state_was_wrong_the_position_follows(refusing):
     along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
     assert along @ variance @ along == pytest.approx(25.0) and across @ variance @ across == pytest.approx(26.0)
     # once; the bound goes on reckoning with it
-    assert channel.faults.way == RefusedWay(10.0, 0.0, 0.0, 60.0)
+    assert channel.faults.way == AlternativePath(10.0, 0.0, 0.0, 60.0)
     np.testing.assert_array_equal(followed(filter, channel), np.zeros((2, 2)))
 
 
@@ -230,7 +230,7 @@ def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
     for name in ("gps", "compass", "depth"):
         channels[name].memory.last_s = 99.9
     gps.faults.rejected_since_s, gps.note[3:6] = 89.0, (40.0, 0.0, 0.0)
-    first = Refusals(True, False, (12.0, 0.0, 0.0), (40.0, 0.0, 0.0), (1.0,) * 3, (1.0,) * 3, 89.0, 99.0)
+    first = RejectionRun(True, False, (12.0, 0.0, 0.0), (40.0, 0.0, 0.0), (1.0,) * 3, (1.0,) * 3, 89.0, 99.0)
     gps.faults.refused = first
     assert innovation_gate.state_contradicted(channels.values(), 100.0)
     # what grows as the square of the time is twice its mean velocity

@@ -14,7 +14,7 @@ import pytest
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.faults.alternative_path import RefusedWay
+from navfilter.faults.alternative_path import AlternativePath
 from navfilter.kernels import strapdown
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -92,8 +92,8 @@ def heads_of(saved, arrays):
     return arrays["floats"][beginning_of(saved)["readings"]["fields"]["pieces"][0]["at"] :]
 
 
-def way_of(kind="RefusedWay", fields=None, **changed):
-    own = {f.name: f.default for f in dataclasses.fields(RefusedWay)} if fields is None else fields
+def way_of(kind="AlternativePath", fields=None, **changed):
+    own = {f.name: f.default for f in dataclasses.fields(AlternativePath)} if fields is None else fields
     return {"": kind, "fields": own | changed}
 
 

@@ -10,7 +10,7 @@ from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter.faults import allowed_change
-from navfilter.faults.noise_scale import Scatter
+from navfilter.faults.noise_scale import NoiseScale
 from navfilter.foundation.state_values import copied, differences
 from navfilter.kernels import noise_scale
 from navfilter.navigation import runner
@@ -83,11 +83,11 @@ def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
         other = copied(memory)
         noted = other.channels["dvl"].scatter.noted.copy()
         noted[change[0]] = change[1]
-        other.channels["dvl"].scatter = Scatter(noted)
+        other.channels["dvl"].scatter = NoiseScale(noted)
         with pytest.raises(ValueError, match="the noise of dvl"):
             nav.filter.recall(other)
     other = copied(memory)
-    other.channels["dvl"].scatter = Scatter(memory.channels["dvl"].scatter.noted[:-1])
+    other.channels["dvl"].scatter = NoiseScale(memory.channels["dvl"].scatter.noted[:-1])
     with pytest.raises(ValueError, match="the noise of dvl"):
         nav.filter.recall(other)
 

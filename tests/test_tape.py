@@ -7,15 +7,15 @@ import warnings
 
 import numpy as np
 
-from navfilter.filter.record_store import Spool
+from navfilter.filter.record_store import RecordStore
 
 
 def test_a_spool_that_nobody_holds_closes_its_file(monkeypatch):
     """Also where it is part of a circle, as the tape of a navigator is."""
-    monkeypatch.setattr(Spool, "CHUNK", 1 << 8)
+    monkeypatch.setattr(RecordStore, "CHUNK", 1 << 8)
     unclosed = []
     monkeypatch.setattr("sys.unraisablehook", unclosed.append)
-    spool = Spool(0)
+    spool = RecordStore(0)
     for k in range(40):
         spool.new(100)[:] = k
     assert spool[0][0] == 0.0 and np.all(spool[39] == 39.0)
@@ -31,9 +31,9 @@ def test_a_spool_that_nobody_holds_closes_its_file(monkeypatch):
 
 def test_a_spool_holds_what_a_list_would(monkeypatch):
     """Whatever is appended, alone or many at once, and dropped again; its chunks go to the file and are used again."""
-    monkeypatch.setattr(Spool, "CHUNK", 1 << 6)
+    monkeypatch.setattr(RecordStore, "CHUNK", 1 << 6)
     rng = np.random.default_rng(3)
-    spool, kept = Spool(0), []
+    spool, kept = RecordStore(0), []
     for k in range(400):
         what = rng.integers(4)
         if what == 0 and kept:
@@ -51,7 +51,7 @@ def test_a_spool_holds_what_a_list_would(monkeypatch):
     assert len(spool) == len(kept) and sum(chunk is None for chunk in spool._chunks) > 50
     for k in rng.permutation(len(kept)).tolist():
         np.testing.assert_array_equal(spool[k], kept[k])
-    copy, most = Spool(1 << 20), len(kept) // 2
+    copy, most = RecordStore(1 << 20), len(kept) // 2
     for flat, sizes in spool.pieces(most):
         copy.extend(flat, sizes)
     assert len(copy) == most and all((copy[k] == kept[k]).all() for k in range(most))
@@ -67,12 +67,12 @@ def test_a_spool_holds_what_a_list_would(monkeypatch):
 def test_memory_is_used_again_but_not_while_somebody_looks_at_it(monkeypatch):
     """A spool leaves its blocks to the next one; those that are still seen stay as they are."""
     monkeypatch.setattr("navfilter.filter.record_store._idle", [])
-    first, second = Spool(1 << 30), Spool(1 << 30)
+    first, second = RecordStore(1 << 30), RecordStore(1 << 30)
     first.new(3)[:] = 1.0
     second.new(3)[:] = 2.0
     address, view = first[0].ctypes.data, second[0]
     del first, second
-    third, fourth = Spool(1 << 30), Spool(1 << 30)
+    third, fourth = RecordStore(1 << 30), RecordStore(1 << 30)
     third.new(3)[:] = 3.0
     fourth.new(3)[:] = 4.0
     assert third[0].ctypes.data == address and np.all(view == 2.0)
@@ -83,10 +83,10 @@ def test_a_spool_that_goes_to_its_file_leaves_nothing_behind(monkeypatch):
     """Early, because the tape is that of a long run, or with more than is to be in memory: its blocks are given up."""
     monkeypatch.setattr("navfilter.filter.record_store._idle", idle := [])
     for early in (True, False):
-        spool = Spool((1 << 30) if early else 5 * 8 * Spool.CHUNK)
+        spool = RecordStore((1 << 30) if early else 5 * 8 * RecordStore.CHUNK)
         vectors = 40 if early else 70
         for k in range(vectors):
-            spool.new(Spool.CHUNK // 10)[:] = k
+            spool.new(RecordStore.CHUNK // 10)[:] = k
             if early and k == 35:
                 spool.to_file()
         assert spool.in_file and not idle and sum(chunk is not None for chunk in spool._chunks) <= 2

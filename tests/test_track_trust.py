@@ -14,7 +14,7 @@ from navfilter.io.write import labelled, write_summary
 from navfilter.report.report import render_report
 from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track.trust import Spell, integrity_figures, spells
+from navfilter.track.trust import DegradedInterval, integrity_figures, spells
 
 STUCK, TURNED, SILENT = (60.0, 80.0), (100.0, 120.0), (150.0, 175.0)
 
@@ -91,7 +91,7 @@ def test_what_no_vehicle_does_is_lost():
     slow = dataclasses.replace(vehicle, drive=dataclasses.replace(vehicle.drive, max_speed_m_s=0.5))
     found = spells(nf.replay(slow, mission))
     assert any(spell.level == "lost" and "faster than the vehicle can be (0.5 m/s)" in spell.reason for spell in found)
-    assert str(Spell(1.0, 2.0, "lost", "why")) == "1 to 2 s: lost, why"
+    assert str(DegradedInterval(1.0, 2.0, "lost", "why")) == "1 to 2 s: lost, why"
 
 
 def test_the_summary_has_bounds_and_trust(dive, track, tmp_path):

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 import navfilter as nf
 from navfilter.learning.axis_learner import Learner, hop_together
-from navfilter.learning.white_prior import WhiteDescription, white_description
+from navfilter.learning.white_prior import WhitePriorTest, white_description
 from navfilter.models.error_models import RandomWalk, Sum, White
 from navfilter.models.navigation_drift import Drift
 from navfilter.timeseries.model import ArmaModel
@@ -33,7 +33,7 @@ def model(sd):
 
 def test_power_that_the_drift_hides_stays_half_believed():
     """S(0) of what is added is what is missing, times a probability near the even odds it had before."""
-    said = WhiteDescription(0.1**2, SPAN_S)
+    said = WhitePriorTest(0.1**2, SPAN_S)
     (part,) = said.unseen(model(0.008), series(0.008, HIDING), HIDING, 0.0)
     missing = 0.1**2 - 0.008**2
     share = 2.0 * part.sd**2 * part.tau_s / PERIOD_S / missing
@@ -46,30 +46,30 @@ def test_power_that_the_readings_exclude_is_not_added():
     """Beside a drift that hides nothing, white noise of a tenth of what was described: nothing quick is left, and what
     is left of slow errors is smaller than the heading's own sd, 0.04 deg after a minute and a half.
     """
-    said = WhiteDescription(1.5**2, SPAN_S)
+    said = WhitePriorTest(1.5**2, SPAN_S)
     y = series(0.15, CLEAR)
     (part,) = said.unseen(model(0.15), y, CLEAR, 0.0)
     assert part.tau_s > 100.0 and part.sd < 0.04
     # told of the same power ten times over, the readings exclude more of it than they leave
-    (other,) = WhiteDescription(15.0**2, SPAN_S).unseen(model(0.15), y, CLEAR, 0.0)
+    (other,) = WhitePriorTest(15.0**2, SPAN_S).unseen(model(0.15), y, CLEAR, 0.0)
     assert other.sd**2 * other.tau_s < 0.5 * 15.0**2 * PERIOD_S / 2.0
 
 
 @pytest.mark.parametrize("sd", [0.08, 0.1, 0.5])
 def test_as_much_as_described_needs_nothing_beside_it(sd):
-    assert WhiteDescription(0.1**2, SPAN_S).unseen(model(sd), series(sd, HIDING), HIDING, 0.0) == ()
+    assert WhitePriorTest(0.1**2, SPAN_S).unseen(model(sd), series(sd, HIDING), HIDING, 0.0) == ()
 
 
 def test_a_description_is_white_or_none():
-    assert white_description(White(0.1), PERIOD_S, SPAN_S) == WhiteDescription(0.1**2, SPAN_S)
+    assert white_description(White(0.1), PERIOD_S, SPAN_S) == WhitePriorTest(0.1**2, SPAN_S)
     walk = Sum((White(0.1), RandomWalk(density=0.3)))
-    assert white_description(walk, PERIOD_S, SPAN_S) == WhiteDescription(0.1**2, SPAN_S)
+    assert white_description(walk, PERIOD_S, SPAN_S) == WhitePriorTest(0.1**2, SPAN_S)
     assert white_description(nf.GaussMarkov(0.1, 20.0) + White(0.1), PERIOD_S, SPAN_S) is None
 
 
 def test_a_learner_hands_it_out():
     y = series(0.008, HIDING)
-    described = WhiteDescription(0.1**2, SPAN_S)
+    described = WhitePriorTest(0.1**2, SPAN_S)
     orders = [(0, 0), (1, 0)]
     plain = Learner(orders, 4000, HIDING).hop(y)
     careful = Learner(orders, 4000, HIDING, described=described).hop(y)

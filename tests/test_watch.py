@@ -8,7 +8,7 @@ import pytest
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.models.health import CALM
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.track.trust import spells
@@ -77,9 +77,9 @@ def test_one_that_never_had_more_components_is_good(mission):
 
 
 def test_a_sensor_that_speaks_seldom_is_given_its_time():
-    assert Watch.of(nf.Depth(rate_hz=8.0)).silent_s == 5.0
-    assert Watch.of(nf.Depth(rate_hz=0.5)).silent_s == 16.0
-    assert Watch.of(nf.Depth(rate_hz=0.01)).silent_s == nf.Depth().gate_timeout_s
+    assert SensorMonitor.of(nf.Depth(rate_hz=8.0)).silent_s == 5.0
+    assert SensorMonitor.of(nf.Depth(rate_hz=0.5)).silent_s == 16.0
+    assert SensorMonitor.of(nf.Depth(rate_hz=0.01)).silent_s == nf.Depth().gate_timeout_s
 
 
 @pytest.mark.parametrize(("outliers", "noisy"), [(1, False), (2, False), (6, True)])

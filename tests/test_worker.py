@@ -83,8 +83,8 @@ def instantaneous(self, work):
 @pytest.mark.parametrize("begin", [Worker.begin, slow, instantaneous])
 def test_the_same_bits_at_any_speed(mission, alone, begin, monkeypatch):
     vehicle, recorded, events = mission
-    arrived, taken = [], early_rerun.Twin.arrived
-    monkeypatch.setattr(early_rerun.Twin, "arrived", lambda twin: arrived.append(twin) or taken(twin))
+    arrived, taken = [], early_rerun.ShadowRun.arrived
+    monkeypatch.setattr(early_rerun.ShadowRun, "arrived", lambda twin: arrived.append(twin) or taken(twin))
     monkeypatch.setattr(Worker, "begin", begin)
     nav = nf.Navigator(vehicle, recorded.start)
     rows = fed(nav, events)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from navfilter.evaluation.fix_reacquisition import Evidence, evidence
-from navfilter.evaluation.learned_text import Learnt, learnt
+from navfilter.evaluation.learned_text import LearnedText, learnt
 from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.models.mission import Mission
 from navfilter.playback.held_out import Score, Withheld, score
@@ -26,7 +26,7 @@ class Assessment:
         By its fixes, its covariance and its smoothed track.
     verdict : Verdict
         What speaks against the track.
-    learnt : tuple of Learnt
+    learnt : tuple of LearnedText
         What every axis has learnt.
     scores : dict of str to tuple of Score
         Against the fixes withheld, by label of the run; empty where none were.
@@ -34,7 +34,7 @@ class Assessment:
 
     evidence: Evidence
     verdict: Verdict
-    learnt: tuple[Learnt, ...] = ()
+    learnt: tuple[LearnedText, ...] = ()
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from navfilter.models.sensors.traits import shown_unit
 from navfilter.timeseries.model import ArmaModel
 from navfilter.track.track import Track
 
-__all__ = ["Learnt", "Scale", "error_words", "in_force", "learnt", "model_words"]
+__all__ = ["LearnedText", "Scale", "error_words", "in_force", "learnt", "model_words"]
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Scale(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Learnt:
+class LearnedText:
     """What one axis of a sensor has learnt.
 
     Attributes
@@ -100,7 +100,7 @@ class Learnt:
         return self.scale.factor**2 * _density(self.believed, freq_hz, self.scale.rate_hz)
 
 
-def learnt(track: Track) -> tuple[Learnt, ...]:
+def learnt(track: Track) -> tuple[LearnedText, ...]:
     """What every axis of a run has learnt; axes that have learnt nothing are left out.
 
     Parameters
@@ -122,7 +122,7 @@ def learnt(track: Track) -> tuple[Learnt, ...]:
             if steps:
                 times, parts = zip(*steps, strict=True)
                 scale = Scale(*shown_unit(unit), rate_hz)
-                found.append(Learnt(f"{name} {axis}".strip(), scale, _before(believed), beside, times, parts))
+                found.append(LearnedText(f"{name} {axis}".strip(), scale, _before(believed), beside, times, parts))
     return tuple(found)
 
 

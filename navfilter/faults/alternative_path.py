@@ -24,7 +24,7 @@ from navfilter.models.sensors.observable import Observable
 
 __all__ = [
     "SPEAKS_S",
-    "RefusedWay",
+    "AlternativePath",
     "believable",
     "followed",
     "full_residual",
@@ -48,7 +48,7 @@ SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class RefusedWay:
+class AlternativePath:
     """What the refused readings of a velocity come to.
 
     Attributes
@@ -114,11 +114,11 @@ def believable(residual: Array, speed: Array | float, stated: float | None) -> N
     return np.asarray(size <= most_speed(speed, stated) + speed)
 
 
-def since_fix(filter: FilterState, channel: Channel) -> RefusedWay:
+def since_fix(filter: FilterState, channel: Channel) -> AlternativePath:
     """That of a velocity, now: nothing, once a fix has been used since."""
     way = channel.faults.way
     fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
-    return RefusedWay() if way is None or max(fixes, default=-math.inf) > way.time_s else way
+    return AlternativePath() if way is None or max(fixes, default=-math.inf) > way.time_s else way
 
 
 def full_residual(filter: FilterState, channel: Channel) -> Array:
@@ -126,7 +126,7 @@ def full_residual(filter: FilterState, channel: Channel) -> Array:
     return np.asarray(channel.note[3 : 3 + channel.axes] + channel.jumped_by(filter.memory.x))
 
 
-def with_refused(filter: FilterState, channel: Channel, time_s: float) -> RefusedWay:
+def with_refused(filter: FilterState, channel: Channel, time_s: float) -> AlternativePath:
     """That of a velocity with another refused reading.
 
     Parameters
@@ -152,7 +152,9 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Refuse
                 ground_velocity.components(channel, channel.note[3 : 3 + channel.axes]) if channel.offset else residual
             )
             size = float(np.linalg.norm(left[seen] if len(left) == ground_velocity.AXES else A @ left[seen]))
-        return RefusedWay(time_s, way.north + float(further[0]), way.east + float(further[1]), way.length + dt * size)
+        return AlternativePath(
+            time_s, way.north + float(further[0]), way.east + float(further[1]), way.length + dt * size
+        )
     return replace(way, time_s=time_s)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.protection_level import IN_PLANE
-from navfilter.faults.refusals import Refusals
+from navfilter.faults.refusals import RejectionRun
 from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors.observable import Observable
@@ -51,14 +51,14 @@ def reckoned_wrongly(channel: Channel, speed: float) -> float:
     return MOST_SDS / (MOST_SDS - 1.0) * grown / seconds if 0.0 < grown <= _may_err(speed, seconds) else 0.0
 
 
-def reckoned_since(channel: Channel, refused: Refusals, speed: float) -> float:
+def reckoned_since(channel: Channel, refused: RejectionRun, speed: float) -> float:
     """By how much a velocity may have been wrong in a dive, where the fixes after it prove that the position was, by no
     more than dead reckoning may err [m/s]; else 0.
 
     Parameters
     ----------
     channel : Channel
-    refused : Refusals
+    refused : RejectionRun
         The readings together.
     speed : float
         Of the vehicle [m/s].

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.heading_fault import Course, direction, of_one_way, rather_drawn, seen_turned
+from navfilter.faults.heading_fault import TrackRotationFit, direction, of_one_way, rather_drawn, seen_turned
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, MoveError, Transform
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
@@ -26,7 +26,7 @@ from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset, offset_states, with_offsets
 from navfilter.models.sensors.velocity import FLOWS_M_S
 
-__all__ = ["Reckoned", "contradicted", "opened_velocity", "take_up"]
+__all__ = ["DeadReckoningComparison", "contradicted", "opened_velocity", "take_up"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
@@ -40,12 +40,12 @@ YAW = 2
 
 
 @dataclass(frozen=True)
-class Reckoned:
+class DeadReckoningComparison:
     """Refused fixes, and the way that the drive has made between them.
 
     Attributes
     ----------
-    course : Course
+    course : TrackRotationFit
     latitude, longitude : float
         Of the first fix [rad].
     north, east : float
@@ -54,7 +54,7 @@ class Reckoned:
         Time of the last one [s].
     """
 
-    course: Course
+    course: TrackRotationFit
     latitude: float
     longitude: float
     north: float
@@ -89,7 +89,7 @@ def contradicted(filter: FilterState, fixes: Channel, time_s: float) -> Actions:
     fixed = np.array([(latitude - before.latitude) * nav[15], 0.0])
     fixed[1] = (longitude - before.longitude) * nav[16] * math.cos(before.latitude)
     course = before.course.plus(time_s, made, fixed - made)
-    kept.reckoned = Reckoned(course, *_begin(before), time_s)
+    kept.reckoned = DeadReckoningComparison(course, *_begin(before), time_s)
     # what draws a way through water off is its current, as far as water flows
     water = bool(filter.in_force.drive.wandering()) and course.drawn_m_s() < FLOWS_M_S
     drawn = (lambda angle, speed: True) if water else rather_drawn
@@ -108,9 +108,11 @@ def contradicted(filter: FilterState, fixes: Channel, time_s: float) -> Actions:
     return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
 
 
-def _from_here(latitude: float, longitude: float, way: Array, time_s: float) -> Reckoned:
+def _from_here(latitude: float, longitude: float, way: Array, time_s: float) -> DeadReckoningComparison:
     """Nothing but a first fix, at this place [rad] and after this way [m]."""
-    return Reckoned(Course(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s)
+    return DeadReckoningComparison(
+        TrackRotationFit(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s
+    )
 
 
 def _flows(memory: FilterMemory) -> float:
@@ -126,7 +128,7 @@ def _faster(memory: FilterMemory) -> float:
     return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), SLOW**2) ** 2
 
 
-def _begin(before: Reckoned) -> tuple[float, float, float, float]:
+def _begin(before: DeadReckoningComparison) -> tuple[float, float, float, float]:
     return before.latitude, before.longitude, before.north, before.east
 
 

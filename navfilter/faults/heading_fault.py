@@ -25,7 +25,7 @@ from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import rotation_matrix
 
 __all__ = [
-    "Course",
+    "TrackRotationFit",
     "against_the_compass",
     "direction",
     "led_astray",
@@ -59,7 +59,7 @@ SAME_SPEED = 2.0
 
 
 @dataclass(frozen=True)
-class Course:
+class TrackRotationFit:
     """Refused fixes and the places reckoned meanwhile.
 
     Attributes
@@ -81,18 +81,18 @@ class Course:
     count: int = 0
     sums: tuple[float, ...] = (0.0,) * 30
 
-    def and_then(self, time_s: float, nav: Array, residual: Array) -> Course:
+    def and_then(self, time_s: float, nav: Array, residual: Array) -> TrackRotationFit:
         """With one more fix: its time, nominal state (17,), residual in n [m]."""
         north = (nav[0] - self.latitude) * nav[15]
         east = (nav[1] - self.longitude) * nav[16] * math.cos(self.latitude)
         return self.plus(time_s, (north, east), residual)
 
-    def plus(self, time_s: float, place: Array | tuple[float, float], residual: Array) -> Course:
+    def plus(self, time_s: float, place: Array | tuple[float, float], residual: Array) -> TrackRotationFit:
         """With one more fix: its time, the place reckoned, north and east of the first [m], residual in n [m]."""
         row = [*map(float, (*place, *residual[:2], time_s - self.began_s))]
         new = zip(self.sums, (*row, *(one * other for one in row for other in row)), strict=True)
         sums = tuple(before + added for before, added in new)
-        return Course(self.latitude, self.longitude, self.began_s, self.count + 1, sums)
+        return TrackRotationFit(self.latitude, self.longitude, self.began_s, self.count + 1, sums)
 
     def drawn_m_s(self) -> float:
         """Speed at which the fixes go away from the way reckoned, by the straight line through that [m/s]."""
@@ -115,7 +115,7 @@ class Course:
         return math.atan2(across, size + along), size, ratio, fixes + size - 2.0 * common, drawn
 
 
-def against_the_compass(filter: FilterState, fixes: Channel, course: Course, time_s: float) -> Change | None:
+def against_the_compass(filter: FilterState, fixes: Channel, course: TrackRotationFit, time_s: float) -> Change | None:
     """What is to be done about the compass, where refused fixes and a velocity sensor contradict it; else None.
 
     Parameters
@@ -124,7 +124,7 @@ def against_the_compass(filter: FilterState, fixes: Channel, course: Course, tim
         Is only read.
     fixes : Channel
         The channel that refuses them.
-    course : Course
+    course : TrackRotationFit
     time_s : float
         Now [s].
     """
@@ -153,7 +153,7 @@ def against_the_compass(filter: FilterState, fixes: Channel, course: Course, tim
 
 
 def seen_turned(
-    course: Course,
+    course: TrackRotationFit,
     fixes: Channel,
     direction: float,
     believed: Callable[[float, float], bool],
@@ -165,7 +165,7 @@ def seen_turned(
 
     Parameters
     ----------
-    course : Course
+    course : TrackRotationFit
     fixes : Channel
         The channel that refuses them.
     direction : float
@@ -200,7 +200,9 @@ def rather_drawn(angle: float, speed: float) -> bool:
     return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
 
 
-def of_one_way(course: Course, fixes: Channel, believed: Callable[[float, float], bool], share: float) -> bool:
+def of_one_way(
+    course: TrackRotationFit, fixes: Channel, believed: Callable[[float, float], bool], share: float
+) -> bool:
     """Whether fixes may have made the way reckoned, turned by one angle, or drawn off at one velocity where that is
     rather believed: else what is wrong has become another meanwhile, as that of a compass which follows no turn does.
     `believed` and `share` as in `seen_turned`.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from navfilter.models.mechanisation import Imu
 from navfilter.models.sensors import Sensor
 
-__all__ = ["STEP_S", "Choice", "ChoiceMemory"]
+__all__ = ["STEP_S", "LaneChoice", "LaneChoiceMemory"]
 
 Array = NDArray[np.float64]
 #: Lanes are compared so often [s]: short beside what a wrong unit does to a position.
@@ -66,7 +66,7 @@ SINCE, UNTIL, LARGEST, FIRST = 0, 1, 2, 3
 
 
 @dataclass
-class ChoiceMemory:
+class LaneChoiceMemory:
     """All that changes.
 
     Attributes
@@ -108,7 +108,7 @@ class ChoiceMemory:
     why: Array
 
 
-class Choice:
+class LaneChoice:
     """Chooses a lane.
 
     Parameters
@@ -139,7 +139,7 @@ class Choice:
         shape = len(inertial), len(self.names), 4
         self._axes = max((len(self._sd[i]) for i in self._velocity), default=0)
         away = len(inertial), len(self._velocity), FIRST + 2 * self._axes
-        self.memory = ChoiceMemory(
+        self.memory = LaneChoiceMemory(
             lane=0,
             step=math.floor(start_s / STEP_S),
             gathered=np.zeros(shape),

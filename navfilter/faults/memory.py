@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.alternative_path import RefusedWay
-from navfilter.faults.dead_reckoning_compass import Reckoned
+from navfilter.faults.alternative_path import AlternativePath
+from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
 from navfilter.faults.imu import bias_drift
-from navfilter.faults.imu.gyro_scale import Turns
+from navfilter.faults.imu.gyro_scale import GyroScaleTest
 from navfilter.faults.imu.monitor import CONDITIONS
-from navfilter.faults.noise_scale import Scatter
-from navfilter.faults.refusals import Refusals
+from navfilter.faults.noise_scale import NoiseScale
+from navfilter.faults.refusals import RejectionRun
 from navfilter.faults.settings import UNDISPUTED_S
-from navfilter.faults.velocity_fault import Aside
+from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.kernels import imu_checks
 
 __all__ = ["MonitorMemory", "SensorFaults"]
@@ -38,11 +38,11 @@ class SensorFaults:
         Of the vehicle when that began [m/s].
     agreed_s : float
         Since when it has agreed with the state: NaN before, and after the state was reset to it [s].
-    refused : Refusals or None
+    refused : RejectionRun or None
         What the readings that have been refused since say together.
     ramp : tuple of float
         Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
-    way : RefusedWay or None
+    way : AlternativePath or None
         Of a velocity that has been refused since the last fix: the way that it would have made beside the state's.
     refused_s : float
         When its last reading was refused [s].
@@ -51,7 +51,7 @@ class SensorFaults:
     astray_m : float
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
-    aside : Aside or None
+    aside : VelocityFault or None
         Of a velocity that has jumped by about itself.
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
@@ -61,11 +61,11 @@ class SensorFaults:
     course : tuple of float
         Of a compass that fixes have contradicted: variance to which they have told the heading [rad^2], that of one of
         them [m^2], latitude and longitude then [rad]; until the compass is back.
-    scatter : Scatter or None
+    scatter : NoiseScale or None
         Of one of which several readings have been refused of late: how they scatter.
-    reckoned : Reckoned or None
+    reckoned : DeadReckoningComparison or None
         Of fixes that are refused beside dead reckoning without an inertial unit: their way, and its.
-    turns : Turns or None
+    turns : GyroScaleTest or None
         Of a compass that was refused: what it said of the gyros.
     partly_since_s : float
         Since when components of each reading are left out alone (`Sensor.single_s`); NaN where they are not [s].
@@ -78,20 +78,20 @@ class SensorFaults:
     rejected_since_s: float = math.nan
     refused_speed: float = 0.0
     agreed_s: float = math.nan
-    refused: Refusals | None = None
+    refused: RejectionRun | None = None
     ramp: tuple[float, ...] = ()
-    way: RefusedWay | None = None
+    way: AlternativePath | None = None
     refused_s: float = -math.inf
     disputed_s: float = -math.inf
     jumped_s: float = -math.inf
     astray_m: float = math.nan
-    aside: Aside | None = None
+    aside: VelocityFault | None = None
     alone: tuple[float, ...] = ()
     beat: tuple[float, ...] = ()
     course: tuple[float, ...] = ()
-    scatter: Scatter | None = None
-    reckoned: Reckoned | None = None
-    turns: Turns | None = None
+    scatter: NoiseScale | None = None
+    reckoned: DeadReckoningComparison | None = None
+    turns: GyroScaleTest | None = None
     partly_since_s: float = math.nan
     same_s: float = math.nan
     again_s: float = math.nan

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults import noise_scale, policy, sensor_bias, velocity_fault
 from navfilter.faults.imu import bias_drift, realignment
-from navfilter.faults.imu.bias_glr import JumpWatch
-from navfilter.faults.imu.monitor import COUNTED, DriveWatch
+from navfilter.faults.imu.bias_glr import BiasJumpGlr
+from navfilter.faults.imu.monitor import COUNTED, ImuMonitor
 from navfilter.faults.memory import MonitorMemory, SensorFaults
 from navfilter.filter.actions import Action
 from navfilter.filter.events import Event
@@ -41,9 +41,9 @@ class FaultMonitor:
 
     Attributes
     ----------
-    imu_monitor : DriveWatch
+    imu_monitor : ImuMonitor
         Of the samples of the inertial unit.
-    glr : JumpWatch
+    glr : BiasJumpGlr
         Of jumps of its biases.
     changes : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
@@ -56,7 +56,7 @@ class FaultMonitor:
     counted = COUNTED
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.imu_monitor, self.glr = DriveWatch(vehicle.drive), JumpWatch(vehicle.drive)
+        self.imu_monitor, self.glr = ImuMonitor(vehicle.drive), BiasJumpGlr(vehicle.drive)
         self.sample_limits, self.cross_checks = self.imu_monitor.limits, self.glr.active
         self.changes: list[Change] = []
         self.slope: float | None = None

@@ -26,13 +26,13 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import noise_scale as kernels
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["Scatter", "facts", "heard", "noted", "variances"]
+__all__ = ["NoiseScale", "facts", "heard", "noted", "variances"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class NoiseScale:
     """How a sensor scatters.
 
     Attributes
@@ -67,7 +67,7 @@ class Scatter:
         return bool(0.0 <= count <= kernels.MOST and 0.0 <= place < kernels.MOST)
 
     @classmethod
-    def of(cls, noted: Array) -> Scatter | None:
+    def of(cls, noted: Array) -> NoiseScale | None:
         """What a kernel has noted; None where nothing is."""
         return None if noted[kernels.TIME_S] == -math.inf else cls(noted)
 
@@ -99,7 +99,7 @@ def facts(filter: FilterState, channel: Channel) -> Array:
     return known
 
 
-def variances(kept: Scatter, plain: Array) -> Array:
+def variances(kept: NoiseScale, plain: Array) -> Array:
     """White variances of a reading, with what it scatters by beyond them."""
     return plain if kept.worthless else np.asarray(plain + kept.excess)
 
@@ -125,5 +125,5 @@ def heard(filter: FilterState, channel: Channel, time_s: float, frozen: bool) ->
     ignored = frozen or channel.faults.set_aside or filter.monitor.imu_monitor.busy(memory.monitor.imu)
     of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
     nis = kernels.heard(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
-    channel.faults.scatter = Scatter.of(note)
+    channel.faults.scatter = NoiseScale.of(note)
     return float(nis)

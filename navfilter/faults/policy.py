@@ -24,10 +24,10 @@ from navfilter.faults import (
     velocity_fault,
 )
 from navfilter.faults.bias_plausibility import excused, pulled, reckoned_since, reckoned_wrongly
-from navfilter.faults.heading_fault import Course, against_the_compass, told_here, turned, turned_by_fixes
+from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
 from navfilter.faults.imu import acceleration, bias_drift, gyro_scale, realignment
 from navfilter.faults.protection_level import FOLLOWED_S, IN_LINE
-from navfilter.faults.refusals import LEAST, Refusals
+from navfilter.faults.refusals import LEAST, RejectionRun
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
@@ -291,14 +291,14 @@ def _is_back(filter: FilterState, channel: Channel) -> bool:
     return sensor_bias.is_back(channel, constant, memory.P)
 
 
-def _made(course: Course | None, fixes: Channel, time_s: float, nav: Array) -> Course | None:
+def _made(course: TrackRotationFit | None, fixes: Channel, time_s: float, nav: Array) -> TrackRotationFit | None:
     """The way made good, with one more refused fix."""
     if not np.isfinite(fixes.res[:2]).all():
         return course
-    return (course or Course(float(nav[0]), float(nav[1]), time_s)).and_then(time_s, nav, fixes.res)
+    return (course or TrackRotationFit(float(nav[0]), float(nav[1]), time_s)).and_then(time_s, nav, fixes.res)
 
 
-def _heading_outvoted(filter: FilterState, fixes: Channel, refused: Refusals, time_s: float) -> Actions:
+def _heading_outvoted(filter: FilterState, fixes: Channel, refused: RejectionRun, time_s: float) -> Actions:
     """Whether fixes and velocity together contradict the compass: then the position is opened to the next fix, and
     before that the heading is turned (`take_up`), and the fixes' slow error, which has followed it, begins afresh.
     """

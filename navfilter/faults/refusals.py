@@ -7,10 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from navfilter.faults.heading_fault import Course
+from navfilter.faults.heading_fault import TrackRotationFit
 from navfilter.foundation.chi_square import chi_square_limit
 
-__all__ = ["Refusals"]
+__all__ = ["RejectionRun"]
 
 #: So many readings that agree are believed together at the earliest.
 LEAST = 5
@@ -19,7 +19,7 @@ TURNED_DOWN = 1e-4
 
 
 @dataclass(frozen=True)
-class Refusals:
+class RejectionRun:
     """The readings of one sensor that have been refused on end, seen as one offset.
 
     Attributes
@@ -42,7 +42,7 @@ class Refusals:
         Components in that sum.
     odd : bool
         The last reading did not agree.
-    course : Course or None
+    course : TrackRotationFit or None
         Of fixes: the way that they have made, beside the one reckoned meanwhile.
     back : int
         Of a sensor that has jumped: so many of the last ones on end agree with the state as if it had not.
@@ -61,7 +61,7 @@ class Refusals:
     dof: int = 0
     odd: bool = False
     back: int = 0
-    course: Course | None = None
+    course: TrackRotationFit | None = None
 
     @property
     def scatters(self) -> bool:

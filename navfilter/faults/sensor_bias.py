@@ -21,7 +21,7 @@ from navfilter.faults import ground_velocity, velocity_fault
 from navfilter.faults.allowed_change import reckoned, wander
 from navfilter.faults.alternative_path import REACH_M
 from navfilter.faults.protection_level import CONFIRMED_S
-from navfilter.faults.refusals import Refusals
+from navfilter.faults.refusals import RejectionRun
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.sensors.observable import Observable
@@ -88,7 +88,9 @@ def alike(one: Channel, other: Channel) -> bool:
     return one.sensor.observes is other.sensor.observes and one.axes == other.axes
 
 
-def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float) -> Refusals:
+def heard(
+    channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float
+) -> RejectionRun:
     """The refusals of a channel with the reading that its kernel has just refused.
 
     Parameters
@@ -121,7 +123,7 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
         now_and_then = time_s - memory.refused_s <= BEFORE_S and memory.undisputed
         at_once = not now_and_then and channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
         first = tuple(residual.tolist())
-        new = Refusals(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
+        new = RejectionRun(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
         return _begun(new, residual, white, seen, time_s)
     dt = max(time_s - before.last_s, 0.0)
     # what other sensors have corrected meanwhile is what the variance has lost
@@ -139,7 +141,7 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     return _begun(before, residual, white, seen, time_s) if before.odd else replace(before, odd=True)
 
 
-def _joined(before: Refusals, nu: Array, variance: Array, S: Array, nis: float, time_s: float) -> Refusals:
+def _joined(before: RejectionRun, nu: Array, variance: Array, S: Array, nis: float, time_s: float) -> RejectionRun:
     gain = np.where(np.isfinite(nu), variance / S, 0.0)
     return replace(
         before,
@@ -153,10 +155,10 @@ def _joined(before: Refusals, nu: Array, variance: Array, S: Array, nis: float, 
     )
 
 
-def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: float) -> Refusals:
+def _begun(run: RejectionRun, residual: Array, white: Array, seen: Array, time_s: float) -> RejectionRun:
     """A run of refusals that agree with its latest one only."""
     offset, variance, state = (tuple(values.tolist()) for values in (residual, white, seen))
-    return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
+    return RejectionRun(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
 
 
 def limits(channel: Channel, z: Array, time_s: float) -> Array:
@@ -245,7 +247,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
 
 
 # ---------------------------------------------------------------- the state was wrong
-def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool, carried: bool) -> Array:
+def opened_state(channel: Channel, refused: RejectionRun, moved_m: float, held: bool, carried: bool) -> Array:
     """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
 
     The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
@@ -256,7 +258,7 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
     ----------
     channel : Channel
         As its refused reading left it.
-    refused : Refusals
+    refused : RejectionRun
     moved_m : float
         Distance from the start [m].
     held : bool

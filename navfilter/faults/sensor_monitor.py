@@ -26,7 +26,7 @@ from navfilter.kernels.batch import (
 from navfilter.models.health import NOISY, SensorHealth, silent_after_s
 from navfilter.models.sensors import Sensor
 
-__all__ = ["Watch"]
+__all__ = ["SensorMonitor"]
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def _unheard() -> Array:
 
 
 @dataclass
-class Watch:
+class SensorMonitor:
     """Keeps the figures of one sensor.
 
     Parameters
@@ -71,7 +71,7 @@ class Watch:
     STUCK_READINGS = 10
 
     @classmethod
-    def of(cls, sensor: Sensor) -> Watch:
+    def of(cls, sensor: Sensor) -> SensorMonitor:
         """That of a sensor."""
         return cls(sensor.gate_timeout_s, silent_after_s(sensor.gate_timeout_s, sensor.rate_hz))
 

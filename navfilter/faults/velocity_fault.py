@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["Aside", "jumped", "shows_itself", "unchanged", "variances"]
+__all__ = ["VelocityFault", "jumped", "shows_itself", "unchanged", "variances"]
 
 Array = NDArray[np.float64]
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.
@@ -38,7 +38,7 @@ MOVING = 0.5
 
 
 @dataclass(frozen=True)
-class Aside:
+class VelocityFault:
     """A velocity that has jumped by about itself.
 
     Attributes
@@ -59,7 +59,7 @@ class Aside:
         return SLOPE * SAME * _size(self.read) / math.sqrt(WANDERS_S)
 
 
-def jumped(filter: FilterState, channel: Channel, jump: Array) -> Aside | None:
+def jumped(filter: FilterState, channel: Channel, jump: Array) -> VelocityFault | None:
     """What is to be remembered of a velocity that has just jumped by about itself, where an inertial unit can do
     without it; None where it is not so.
 
@@ -76,21 +76,21 @@ def jumped(filter: FilterState, channel: Channel, jump: Array) -> Aside | None:
         return None
     says = _size(channel.reading) > SAYS * _size(by)
     read = channel.reading if says else np.full(channel.axes, math.nan)
-    return Aside(speed, tuple(read.tolist()), tuple(by.tolist()))
+    return VelocityFault(speed, tuple(read.tolist()), tuple(by.tolist()))
 
 
-def unchanged(kept: Aside, z: Array) -> bool:
+def unchanged(kept: VelocityFault, z: Array) -> bool:
     """Whether a reading is what it was right after the jump."""
     off = np.abs(z - np.array(kept.read))
     return bool(np.isfinite(off).any() and np.nanmax(off) <= SAME * _size(kept.read))
 
 
-def variances(kept: Aside, z: Array, plain: Array) -> Array:
+def variances(kept: VelocityFault, z: Array, plain: Array) -> Array:
     """White variances of a reading, and beside them what its change may hide."""
     return np.asarray(plain + (SLOPE * np.nan_to_num(z - np.array(kept.read))) ** 2)
 
 
-def shows_itself(kept: Aside, speed: float, off: Array) -> bool:
+def shows_itself(kept: VelocityFault, speed: float, off: Array) -> bool:
     """Whether a reading that is `off` the state by so much (axes,) proves that its sensor is back."""
     return speed > MOVING * kept.speed and _size(off) < _size(off - np.array(kept.jump))
 

@@ -18,7 +18,7 @@ from navfilter.models.fault_bias import deviations, has_offset, offset_states, p
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
-__all__ = ["MOST_SDS", "Described", "believed", "delayed_facts"]
+__all__ = ["MOST_SDS", "ChannelModel", "believed", "delayed_facts"]
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -29,7 +29,7 @@ MOST_SDS = 4.0
 MOST_SDS_UP = 6.0
 
 
-class Described(NamedTuple):
+class ChannelModel(NamedTuple):
     """A channel as its error model describes it.
 
     Attributes
@@ -77,7 +77,7 @@ class Described(NamedTuple):
         equation: tuple[Callable[..., None], Array | None],
         constants: Array,
         gates: Array,
-    ) -> Described:
+    ) -> ChannelModel:
         """Work it out.
 
         Parameters

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["Correction", "Event", "Listening", "Measurement", "Outcome", "Passed", "Propagated", "Relaid", "StoodIn"]
+__all__ = [
+    "Correction",
+    "Event",
+    "Listening",
+    "Measurement",
+    "Outcome",
+    "Propagated",
+    "SamplesReplaced",
+    "SamplesUsed",
+    "StateTransformed",
+]
 
 Array = NDArray[np.float64]
 
@@ -72,26 +82,26 @@ class Propagated(NamedTuple):
     transition: Array
 
 
-class Passed(NamedTuple):
+class SamplesUsed(NamedTuple):
     """The state has been carried over `samples`: rows of the seconds since the sample before, and the six values."""
 
     samples: Array
 
 
-class StoodIn(NamedTuple):
+class SamplesReplaced(NamedTuple):
     """Something else has stood in place of what an axis of the drive said, in the last `seconds`."""
 
     seconds: float
 
 
-class Relaid(NamedTuple):
+class StateTransformed(NamedTuple):
     """The error state became `M` times what it was; shape (n_after, n_before). `anew`: what it lacks was set anew."""
 
     M: Array
     anew: bool = False
 
 
-Event = Correction | Propagated | Passed | StoodIn | Relaid
+Event = Correction | Propagated | SamplesUsed | SamplesReplaced | StateTransformed
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
 

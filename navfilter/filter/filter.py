@@ -14,9 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import actions
 from navfilter.filter.actions import Action
-from navfilter.filter.events import Correction, Listening, Measurement, Outcome, Passed, Propagated, Relaid
+from navfilter.filter.events import (
+    Correction,
+    Listening,
+    Measurement,
+    Outcome,
+    Propagated,
+    SamplesUsed,
+    StateTransformed,
+)
 from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
-from navfilter.filter.imu_intake import Intake
+from navfilter.filter.imu_intake import ImuIntake
 from navfilter.filter.model_change import Adoption, Change, adoption
 from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
@@ -105,7 +113,7 @@ class Filter:
         state, ended_s = self.start.state, self.time_s if models is not None else 0.0
         assert state.covariance is not None
         counts = dict.fromkeys((*COUNTED, *self.monitor.counted), 0)
-        self.intake = Intake(self.vehicle.drive, state.time_s, counts)
+        self.intake = ImuIntake(self.vehicle.drive, state.time_s, counts)
         for channel in self.channels.values():
             channel.forget()
         adopted = tuple((models or {}).items())
@@ -193,7 +201,7 @@ class Filter:
         tell : callable
             Is told each event as it comes, and may give the filter other error models then.
         room : callable, optional
-            Says after how many samples somebody wants to see them at the latest: they are then told as `Passed`.
+            Says after how many samples somebody wants to see them at the latest: they are then told as `SamplesUsed`.
         """
         if len(samples):
             still = lambda: self.vehicle.drive.at_rest(self.state, self.memory.drv)  # noqa: E731
@@ -237,7 +245,7 @@ class Filter:
                 self._row()
             self.feel(tell)
             if room is not None:
-                tell(Passed(np.full(block.shape, np.nan) if missing else block))
+                tell(SamplesUsed(np.full(block.shape, np.nan) if missing else block))
             if self.monitor.has_news(memory.monitor):
                 self.check_imu(tell)
             begin = end
@@ -445,7 +453,7 @@ class Filter:
             self.tape.layouts.append(self.layout)
             self.tape.models.setdefault(change.sensor, []).append((memory.time_s, error))
             self._row()
-        tell(Relaid(found.M))
+        tell(StateTransformed(found.M))
 
     def _change(self, M: Array, N: Array) -> None:
         """Let the error state become ``M x + w``, ``w ~ N(0, N)``."""
@@ -463,7 +471,7 @@ class Filter:
         self.memory.nav[3:6], self.memory.nav[6:15] = velocity_n, C_nb.reshape(-1)
         self._change(M, N)
         self._row()
-        tell(Relaid(M, anew=True))
+        tell(StateTransformed(M, anew=True))
 
     def _readmit(self, channel: Channel, C: Array, R: Array) -> None:
         """Correct by the residual and Jacobian that stand in a channel, with these errors, without a gate."""

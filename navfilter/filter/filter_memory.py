@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel_memory import ChannelMemory
-from navfilter.filter.imu_intake import IntakeMemory
+from navfilter.filter.imu_intake import ImuIntakeMemory
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel
 
@@ -56,7 +56,7 @@ class FilterMemory:
     recent : ndarray, shape (k, 7)
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
-    intake : IntakeMemory
+    intake : ImuIntakeMemory
     channels : dict of str to ChannelMemory
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
@@ -74,7 +74,7 @@ class FilterMemory:
     acc: Array
     drv: Array
     recent: Array
-    intake: IntakeMemory
+    intake: ImuIntakeMemory
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]

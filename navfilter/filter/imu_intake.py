@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.kernels import strapdown
 from navfilter.models.mechanisation import Mechanisation
 
-__all__ = ["Intake", "IntakeMemory", "joined", "samples_of"]
+__all__ = ["ImuIntake", "ImuIntakeMemory", "joined", "samples_of"]
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def joined(items: Sequence[Any]) -> list[Any]:
 
 
 @dataclass
-class IntakeMemory:
+class ImuIntakeMemory:
     """What is remembered of the drive's clock.
 
     Attributes
@@ -87,7 +87,7 @@ class IntakeMemory:
     ahead: int = 0
 
 
-class Intake:
+class ImuIntake:
     """What is known of the drive's clock.
 
     Stamps must rise. One that does not is dropped, and so is a stamp more than `DOUBT_S` ahead, unless the very next
@@ -130,7 +130,7 @@ class Intake:
         self._confirm = max(5, round(0.25 * drive.rate_hz))
         self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
         # the first sample may come at the start itself
-        self.memory = IntakeMemory(math.nextafter(start_s, -math.inf))
+        self.memory = ImuIntakeMemory(math.nextafter(start_s, -math.inf))
 
     @property
     def offset_s(self) -> float:

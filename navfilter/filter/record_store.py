@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spool"]
+__all__ = ["RecordStore"]
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def _left(block: mmap.mmap) -> None:
         _idle.append(block)
 
 
-class Spool:
+class RecordStore:
     """Append-only store of float64 vectors, in memory up to `memory_bytes`; beyond that all but the latest go to a
     temporary file. What it gives out are views, to be used before the next one is asked for.
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.record_store import Spool
+from navfilter.filter.record_store import RecordStore
 from navfilter.foundation.display import Shown, Value, often, span
 
 __all__ = ["CHANGE", "OUTCOMES", "Residuals", "Tape", "triangle"]
@@ -197,7 +197,7 @@ class Tape(Shown):
         before = copy.copy(self)
         before.ended_s = time_s
         if not self.lent:
-            before.records, before._heads = Spool(0), array("h")
+            before.records, before._heads = RecordStore(0), array("h")
         self.given, self.lent = before, False
         self._fresh(layout)
 
@@ -211,10 +211,10 @@ class Tape(Shown):
         return self if self.given is None or self.times_begun <= times_begun else self.given.as_of(times_begun)
 
     def _fresh(self, layout: Any) -> None:
-        self.records = Spool(self._memory_bytes)
+        self.records = RecordStore(self._memory_bytes)
         self._heads = array("h")  # a, m, b, start, deviation of each record
         row = self._row_size(layout.size) if self._expected else 0
-        self.rows = Spool(sys.maxsize if row else self._memory_bytes, row * self._expected)
+        self.rows = RecordStore(sys.maxsize if row else self._memory_bytes, row * self._expected)
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
         self.row_layouts = array("q")  # the layout of each row

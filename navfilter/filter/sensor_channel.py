@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.channel_memory import ChannelMemory
-from navfilter.filter.channel_model import Described, delayed_facts
+from navfilter.filter.channel_model import ChannelModel, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, delayed_state, kalman
@@ -61,8 +61,8 @@ class Channel:
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
         self.facts: Array | None = None  # what the monitor works out for these states
-        self._described: Described | None = None
-        self._foreseen: Described | None = None
+        self._described: ChannelModel | None = None
+        self._foreseen: ChannelModel | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -105,8 +105,8 @@ class Channel:
         variance = drive.rate_variance(g.Q, g.C, g.r) / self.samples
         self._foreseen = self._describe(vehicle.sensors[self.name], layout.groups[self.name], variance)
 
-    def _describe(self, sensor: Sensor, group: Group, variance: Array) -> Described:
-        return Described.of(sensor, group, variance, (self.kernel, self._delayed), self.constants, self._gates)
+    def _describe(self, sensor: Sensor, group: Group, variance: Array) -> ChannelModel:
+        return ChannelModel.of(sensor, group, variance, (self.kernel, self._delayed), self.constants, self._gates)
 
     def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
         """Work from now on in a part of an array that all channels share.

@@ -15,10 +15,10 @@ import numpy as np
 from navfilter.foundation.arguments import short
 from navfilter.foundation.display import same
 
-__all__ = ["Typed", "typed"]
+__all__ = ["FrozenDescription", "typed"]
 
 
-class Typed:
+class FrozenDescription:
     """A description: a frozen dataclass of numbers, text, other descriptions and tuples of them.
 
     Its ``__post_init__`` makes of each field what the others rely on, so a subclass with one of its own calls it first:
@@ -108,7 +108,7 @@ def typed(value: Any) -> str:
         return f"frozenset({{{', '.join(sorted(map(typed, value)))}}})" if value else "frozenset()"
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{typed(key)}: {typed(part)}' for key, part in value.items())}}}"
-    if isinstance(value, Typed) and type(value).__repr__ is typed and dataclasses.is_dataclass(value):
+    if isinstance(value, FrozenDescription) and type(value).__repr__ is typed and dataclasses.is_dataclass(value):
         fields = [f for f in dataclasses.fields(value) if f.init and f.compare and not _default(value, f)]
         return f"{type(value).__name__}({', '.join(f'{f.name}={typed(getattr(value, f.name))}' for f in fields)})"
     return repr(value)

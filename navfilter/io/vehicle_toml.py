@@ -28,9 +28,9 @@ import navfilter.models.periodic_error  # noqa: F401 - kinds are those whose mod
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.models.error_models import ErrorModel, Sum
-from navfilter.models.fault_bias import Offset
+from navfilter.models.fault_bias import FaultBias
 from navfilter.models.learned_arma import LearnedArma
-from navfilter.models.mechanisation import Coasting, Imu, Mechanisation
+from navfilter.models.mechanisation import DeadReckoningLane, Imu, Mechanisation
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.traits import kinds_below
 from navfilter.models.vehicle import RESERVED, Vehicle
@@ -149,7 +149,9 @@ def _kinds() -> Kinds:
     their module, and those that only a run makes are none.
     """
     bases = ErrorModel, Sensor, Mechanisation
-    return tuple(c for base in bases for c in kinds_below(base) if not issubclass(c, Sum | Offset | Coasting))
+    return tuple(
+        c for base in bases for c in kinds_below(base) if not issubclass(c, Sum | FaultBias | DeadReckoningLane)
+    )
 
 
 def _base_of(cls: type) -> tuple[str, type]:

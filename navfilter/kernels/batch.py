@@ -85,7 +85,7 @@ SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, F
 NIS_MEMORY, NIS_MOST = 50.0, 25.0
 # The biases of the gyros are looked at so often [s], beside a compass whose last reading is not older [s].
 LOOK_EVERY_S, COMPASS_S = 10.0, 3.0
-# The same value so many times and for so long is stuck, as `navfilter.faults.sensor_monitor.Watch` has it.
+# The same value so many times and for so long is stuck, as `navfilter.faults.sensor_monitor.SensorMonitor` has it.
 STUCK_READINGS, STUCK_S = 10.0, 8.0
 
 # Elements of `facts`, of a channel whose readings come live: its place in `plan` and among the inputs that are kept;
@@ -424,7 +424,7 @@ def heeded(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
     def heeded(w, nav, P, period_s):
-        """While all axes are good, `navfilter.faults.imu.monitor.DriveWatch.heed`: the reference of gravity is due."""
+        """While all axes are good, `navfilter.faults.imu.monitor.ImuMonitor.heed`: the reference of gravity is due."""
         _ = sources
         for i in range(6):
             a = w[i]
@@ -601,8 +601,8 @@ def _partly(sources):
 def _seen(sources):
     @njit(cache=True, **UNCOUNTED)
     def _seen(watch, time_s, same):
-        """Note that a reading arrives, as `navfilter.faults.sensor_monitor.Watch.sees` does; same: with the value
-        before.
+        """Note that a reading arrives, as `navfilter.faults.sensor_monitor.SensorMonitor.sees` does; same: with the
+        value before.
         """
         _ = sources
         if same:
@@ -617,7 +617,7 @@ def _seen(sources):
 def _fared(sources):
     @njit(cache=True, **UNCOUNTED)
     def _fared(watch, time_s, nis, dof, nav):
-        """Note that a reading was used, as `navfilter.faults.sensor_monitor.Watch.note` does."""
+        """Note that a reading was used, as `navfilter.faults.sensor_monitor.SensorMonitor.note` does."""
         _ = sources
         watch[USED] += 1.0
         watch[LATITUDE], watch[LONGITUDE] = nav[0], nav[1]

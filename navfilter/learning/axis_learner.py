@@ -11,27 +11,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from navfilter.learning.fast_prior import QuickDescription
+from navfilter.learning.fast_prior import ShortCorrelationPrior
 from navfilter.learning.hierarchical_prior import alike
 from navfilter.learning.initial_values import cold_starts, grown_starts, padded_starts, with_slow_parts
-from navfilter.learning.learned_model import Learnt, fast_model, learnt_from
+from navfilter.learning.learned_model import LearnedModel, fast_model, learnt_from
 from navfilter.learning.learner_memory import LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_posterior import DEAD, SlowPosterior, denied, follow
 from navfilter.learning.slow_prior import SlowPrior
-from navfilter.learning.white_prior import Doubt, WhiteDescription
+from navfilter.learning.white_prior import SlowErrorEvidence, WhitePriorTest
 from navfilter.models.error_models import GaussMarkov
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.timeseries.order_criterion import criterion
 
-__all__ = ["Learner", "LearnerMemory", "Look", "hop_together"]
+__all__ = ["AxisFit", "Learner", "LearnerMemory", "hop_together"]
 
 Array = NDArray[np.float64]
 
 
-class Look(NamedTuple):
+class AxisFit(NamedTuple):
     """What a learner has found in one series.
 
     Attributes
@@ -43,7 +43,7 @@ class Look(NamedTuple):
     posterior : SlowPosterior or None
     n : int
         Samples that count.
-    plain : Learnt or None
+    plain : LearnedModel or None
         What is handed out instead, as a description without slow parts has it.
     prior : SlowPrior or None
         Of the slow part, given the fast one.
@@ -54,7 +54,7 @@ class Look(NamedTuple):
     point: Point
     posterior: SlowPosterior | None
     n: int
-    plain: Learnt | None = None
+    plain: LearnedModel | None = None
     prior: SlowPrior | None = None
 
     @property
@@ -82,9 +82,9 @@ class Learner:
         Variance of known white noise in the series.
     prior : SlowPrior, optional
         Of the slow part; without one the error has none.
-    described : WhiteDescription, optional
+    described : WhitePriorTest, optional
         Where there is no such prior: what stays believed of low frequencies.
-    quick : QuickDescription, optional
+    quick : ShortCorrelationPrior, optional
         Where the prior is that of a description without slow parts: what it says as long as readings bear it out.
 
     Raises
@@ -109,8 +109,8 @@ class Learner:
         *,
         white: float = 0.0,
         prior: SlowPrior | None = None,
-        described: WhiteDescription | None = None,
-        quick: QuickDescription | None = None,
+        described: WhitePriorTest | None = None,
+        quick: ShortCorrelationPrior | None = None,
     ) -> None:
         self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
         if not self.orders or min(min(order) for order in self.orders) < 0:
@@ -155,7 +155,7 @@ class Learner:
             plain.memory = self._memory.plain
         return plain
 
-    def hop(self, series: ArrayLike, fresh: int | None = None) -> Learnt | None:
+    def hop(self, series: ArrayLike, fresh: int | None = None) -> LearnedModel | None:
         """Learn from the last `window` samples (fewer at first).
 
         Parameters
@@ -177,7 +177,7 @@ class Learner:
         """
         return hop_together([self], [series], fresh)[0]
 
-    def look(self, series: ArrayLike, fresh: int | None = None) -> Look | None:
+    def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
         """The first part of a hop, see there: what is found in the series by itself."""
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
@@ -214,9 +214,9 @@ class Learner:
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0, prior)
         self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
-        return Look(y, likelihood, point, posterior, n, self._as_described(y, fresh), prior)
+        return AxisFit(y, likelihood, point, posterior, n, self._as_described(y, fresh), prior)
 
-    def _as_described(self, series: Array, fresh: int) -> Learnt | None:
+    def _as_described(self, series: Array, fresh: int) -> LearnedModel | None:
         """What is learnt where slow errors are as unlikely as the description has them, while readings bear it out."""
         plain = self._plain()
         if plain is None or self.quick is None or (look := plain.look(series, fresh)) is None:
@@ -228,13 +228,13 @@ class Learner:
         self._memory, doubt = replace(self._memory, plain=plain.memory), plain.doubts(look)
         return plain.say(look, doubt, 0.0 if doubt is None else float(expit(doubt.gain)))
 
-    def doubts(self, look: Look) -> Doubt | None:
+    def doubts(self, look: AxisFit) -> SlowErrorEvidence | None:
         """What speaks for a slow error that was not described; None where one was, or nothing is known of its kind."""
         if self.described is None:
             return None
         return self.described.doubt(look.point, look.series, self.drift, self.white)
 
-    def say(self, look: Look, doubt: Doubt | None, present: float) -> Learnt:
+    def say(self, look: AxisFit, doubt: SlowErrorEvidence | None, present: float) -> LearnedModel:
         """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability
         of `present`.
         """
@@ -366,7 +366,7 @@ def _power(parts: Sequence[GaussMarkov]) -> float:
 
 def hop_together(
     learners: Sequence[Learner | None], series: Sequence[ArrayLike | None], fresh: int | None = None
-) -> list[Learnt | None]:
+) -> list[LearnedModel | None]:
     """A hop of all axes of a sensor, see `Learner.hop`.
 
     Those with the same prior have like slow errors, see `navfilter.learning.hierarchical_prior`.
@@ -383,7 +383,7 @@ def hop_together(
 
     Returns
     -------
-    list of Learnt or None
+    list of LearnedModel or None
         None, too, where there is no learner or no series.
     """
     pairs = [
@@ -400,7 +400,7 @@ def hop_together(
     ]
 
 
-def _told_by_others(pairs: list[tuple[Learner | None, Look | None]]) -> list[tuple[Learner | None, Look | None]]:
+def _told_by_others(pairs: list[tuple[Learner | None, AxisFit | None]]) -> list[tuple[Learner | None, AxisFit | None]]:
     """The looks of all axes, those that are described alike with what the others say of their slow errors."""
     axes: dict[SlowPrior, list[int]] = {}
     for axis, (learner, look) in enumerate(pairs):

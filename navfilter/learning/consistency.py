@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from navfilter.filter.monitor import FilterState
 from navfilter.kernels import open_loop_residual
 
-__all__ = ["BETTER", "CONTRADICTED", "WORSE", "Stretches", "departure", "is_better", "is_near", "stretched", "told_by"]
+__all__ = [
+    "BETTER",
+    "CONTRADICTED",
+    "WORSE",
+    "ConsistencyRecord",
+    "departure",
+    "is_better",
+    "is_near",
+    "stretched",
+    "told_by",
+]
 
 Array = NDArray[np.float64]
 
@@ -30,7 +40,7 @@ HARDLY_TOLD = 0.003
 
 
 @dataclass(frozen=True, eq=False)
-class Stretches:
+class ConsistencyRecord:
     """What successive stretches of a mission have told of the constants.
 
     An error that goes with the motion (a body on its springs, wheels that slip) is no noise: it tells a constant
@@ -59,7 +69,7 @@ class Stretches:
         return _normal(self.length / (AGREED * self.freedom), self.freedom) if self.freedom else 0.0
 
 
-def stretched(filter: FilterState, before: Stretches, time_s: float) -> Stretches:
+def stretched(filter: FilterState, before: ConsistencyRecord, time_s: float) -> ConsistencyRecord:
     """With the stretch that ends at a time [s]; without any before, one begins there.
 
     Notes
@@ -70,17 +80,17 @@ def stretched(filter: FilterState, before: Stretches, time_s: float) -> Stretche
     """
     at = filter.layout.constants[0]
     if before.time_s == math.inf or before.estimate.size != at.size:
-        return Stretches(time_s, filter.x[at - 9], filter.P[at[:, np.newaxis], at])
+        return ConsistencyRecord(time_s, filter.x[at - 9], filter.P[at[:, np.newaxis], at])
     if before.time_s >= time_s or not at.size:
         return before
     now, lost = np.empty((2, at.size + 1, at.size))
     told = open_loop_residual.told_since(
         filter.x, filter.P, at, before.estimate, before.covariance, HARDLY_TOLD, now, lost
     )
-    return Stretches(time_s, now[0], now[1:], before.length + told[0], before.freedom + told[1])
+    return ConsistencyRecord(time_s, now[0], now[1:], before.length + told[0], before.freedom + told[1])
 
 
-def is_better(described: FilterState, learnt: FilterState, told: Stretches) -> bool:
+def is_better(described: FilterState, learnt: FilterState, told: ConsistencyRecord) -> bool:
     """Whether the constants speak less against a filter with the models as described than against one with those that
     were learnt: by how far they have gone from their prior, or as they are less sure where they disagree with
     themselves.

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.slow_prior import SLOWER, described_blocks, slow_prior
-from navfilter.learning.white_prior import WhiteDescription
+from navfilter.learning.white_prior import WhitePriorTest
 from navfilter.models.error_models import Block, ErrorModel, block_level
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.spectral import spectral_factor
 
-__all__ = ["QuickDescription", "quick_description"]
+__all__ = ["ShortCorrelationPrior", "quick_description"]
 
 Array = NDArray[np.float64]
 #: What is quicker than so much of the quickest slow error that is looked for is none [1]: its power there is a third.
@@ -44,7 +44,7 @@ POINTS = 60
 
 
 @dataclass(frozen=True)
-class QuickDescription:
+class ShortCorrelationPrior:
     """An error that is described without slow parts, but with quick coloured ones.
 
     Parameters
@@ -56,7 +56,7 @@ class QuickDescription:
         Time that the window holds [s].
     tau_s : float
         Correlation time of its coloured parts together [s].
-    low : WhiteDescription
+    low : WhitePriorTest
         What it says of low frequencies, and of slow errors as its kind has them.
     """
 
@@ -64,7 +64,7 @@ class QuickDescription:
     period_s: float
     span_s: float
     tau_s: float
-    low: WhiteDescription
+    low: WhitePriorTest
 
     @cached_property
     def arma(self) -> ArmaModel | None:
@@ -130,7 +130,9 @@ def _power(block: Block, z: NDArray[np.complex128]) -> Array:
     return np.einsum("ki,ij,kj->k", response, block.Q, response.conj()).real + block.r
 
 
-def quick_description(model: ErrorModel, period_s: float, span_s: float, kind: ErrorModel) -> QuickDescription | None:
+def quick_description(
+    model: ErrorModel, period_s: float, span_s: float, kind: ErrorModel
+) -> ShortCorrelationPrior | None:
     """What a description without slow parts says; None where it has some, or nothing but white noise.
 
     Parameters
@@ -154,5 +156,5 @@ def quick_description(model: ErrorModel, period_s: float, span_s: float, kind: E
     if not variance > 0.0 or usual is None:
         return None
     sd = math.sqrt(variance + sum(block.r for block in blocks))
-    low = WhiteDescription(level, span_s, replace(usual, sd=sd, absent=1.0 - UNLIKELY))
-    return QuickDescription(blocks, period_s, span_s, sum(power for _, power in sizes) / variance, low)
+    low = WhitePriorTest(level, span_s, replace(usual, sd=sd, absent=1.0 - UNLIKELY))
+    return ShortCorrelationPrior(blocks, period_s, span_s, sum(power for _, power in sizes) / variance, low)

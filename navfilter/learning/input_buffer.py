@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement
 
-__all__ = ["Kept", "Rows"]
+__all__ = ["InputBuffer", "Rows"]
 
 Array = NDArray[np.float64]
 #: Rows of a piece.
@@ -89,7 +89,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Kept:
+class InputBuffer:
     """Samples and readings in the order in which they were taken.
 
     Attributes
@@ -178,18 +178,20 @@ class Kept:
                 del self.sds[number]
         self.samples.cut(samples)
 
-    def so_far(self) -> Kept:
+    def so_far(self) -> InputBuffer:
         """The same to be read only, whatever comes."""
-        return Kept(self.names, self.samples.so_far(), self.readings.so_far(), self.values.so_far(), dict(self.sds))
+        return InputBuffer(
+            self.names, self.samples.so_far(), self.readings.so_far(), self.values.so_far(), dict(self.sds)
+        )
 
-    def first(self, samples: int, readings: int) -> Kept:
+    def first(self, samples: int, readings: int) -> InputBuffer:
         """The first of them, as they are stored: each kind in one piece."""
         heads = self.readings.whole(readings)
         values = self.values.whole(int(heads[-1, VALUES]) if readings else 0)
         given, heard, read = (Rows(t.shape[1], len(t), [t]) for t in (self.samples.whole(samples), heads, values))
-        return Kept(self.names, given, heard, read, {n: sd for n, sd in self.sds.items() if n < readings})
+        return InputBuffer(self.names, given, heard, read, {n: sd for n, sd in self.sds.items() if n < readings})
 
-    def again(self, names: tuple[str, ...]) -> Kept:
+    def again(self, names: tuple[str, ...]) -> InputBuffer:
         """The same from what was stored, for a vehicle with these sensors.
 
         Raises
@@ -197,7 +199,7 @@ class Kept:
         ValueError
             For anything that is not as `first` makes it.
         """
-        new, own = Kept(names), (self.samples, self.readings, self.values)
+        new, own = InputBuffer(names), (self.samples, self.readings, self.values)
         for rows, like in zip(own, (new.samples, new.readings, new.values), strict=True):
             good = len(rows.pieces) == 1 and rows.pieces[0].shape == (rows.count, like.width)
             if not (good and rows.pieces[0].dtype == np.float64):

@@ -16,7 +16,7 @@ from navfilter.models.error_models import GaussMarkov
 from navfilter.models.spectrum import Spectrum, log_spread
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Learnt", "fast_model", "learnt_from"]
+__all__ = ["LearnedModel", "fast_model", "learnt_from"]
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 ALIKE = ndtri((np.arange(9) + 0.5) / 9.0)
 
 
-class Learnt(NamedTuple):
+class LearnedModel(NamedTuple):
     """What one hop hands out.
 
     Attributes
@@ -49,7 +49,7 @@ def fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
     return ArmaModel(fast[:p], fast[p:-1], math.exp(fast[-1]) / likelihood.unit, covariance, None, float(n))
 
 
-def learnt_from(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> Learnt:
+def learnt_from(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> LearnedModel:
     """What a hop hands out, in the unit of the series."""
     model, fast = fast_model(likelihood, point, n), likelihood.fast(point.theta, point.slow)
     k = fast.size
@@ -57,7 +57,9 @@ def learnt_from(likelihood: Likelihood, point: Point, posterior: SlowPosterior |
     spectrum = _spectrum(model, given_slow, posterior, likelihood.drift.period_s, n)
     slow = () if posterior is None else posterior.parts()
     sd = spectrum.sd_log_s0
-    return Learnt(ArmaModel(model.ar, model.ma, model.sd, model.covariance, sd, model.effective_window), slow, spectrum)
+    return LearnedModel(
+        ArmaModel(model.ar, model.ma, model.sd, model.covariance, sd, model.effective_window), slow, spectrum
+    )
 
 
 def _spectrum(

@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.model_change import Change
-from navfilter.learning.consistency import Stretches
-from navfilter.learning.input_buffer import Kept
-from navfilter.learning.series_memory import ListenerMemory
+from navfilter.learning.consistency import ConsistencyRecord
+from navfilter.learning.input_buffer import InputBuffer
+from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestMemory
 
-__all__ = ["Again", "LearningMemory", "relaid"]
+__all__ = ["LearningMemory", "RerunRequest", "relaid"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Again:
+class RerunRequest:
     """How the beginning is done again.
 
     Attributes
@@ -57,7 +57,7 @@ class LearningMemory:
         `navfilter.kernels.open_loop_residual`.
     listeners : dict of str to ListenerMemory
     rest : RestMemory or None
-    beginning : Kept or None
+    beginning : InputBuffer or None
         Inputs since the start, kept until the first models are adopted; None when that is over.
     kept : (int, int)
         How many samples and readings of them there were.
@@ -65,7 +65,7 @@ class LearningMemory:
         How many of the early hops are over.
     hopping : bool
         Whether the next one has begun.
-    again : Again or None
+    again : RerunRequest or None
         The beginning will be done again so.
     quiet_s : float
         Nothing is learnt before this time [s]: it is the beginning, done again.
@@ -75,7 +75,7 @@ class LearningMemory:
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     ask_s : float
         Then the constants are asked next whether they speak against what was learnt [s]; infinite: no more.
-    told : Stretches
+    told : ConsistencyRecord
         What they were told in the stretches since the beginning was done last.
     refused : bool
         Whether what was learnt last predicts fixes worse than what is in force.
@@ -84,18 +84,18 @@ class LearningMemory:
     SHARED: ClassVar = ("beginning",)
 
     fed_back: Array
-    listeners: dict[str, ListenerMemory]
+    listeners: dict[str, OpenLoopMemory]
     rest: RestMemory | None
-    beginning: Kept | None
+    beginning: InputBuffer | None
     kept: tuple[int, int]
     stage: int
     hopping: bool
-    again: Again | None
+    again: RerunRequest | None
     quiet_s: float
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
     ask_s: float
-    told: Stretches
+    told: ConsistencyRecord
     refused: bool
 
     def revive(self, names: tuple[str, ...]) -> None:

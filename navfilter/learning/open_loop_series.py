@@ -15,7 +15,7 @@ from navfilter.kernels import open_loop_residual
 from navfilter.learning.axis_learner import hop_together
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
-from navfilter.learning.series_memory import ChannelSeries, Hop, ListenerMemory
+from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
 from navfilter.learning.setup import learner_of, with_learnt
 from navfilter.learning.spikes import without_spikes
 from navfilter.models.error_models import ErrorModel
@@ -25,7 +25,7 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 from navfilter.models.window_limits import LEAST, LONGEST_GAP
 
-__all__ = ["ChannelSeries", "Listener"]
+__all__ = ["ChannelSeries", "OpenLoopSeries"]
 
 Array = NDArray[np.float64]
 #: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
@@ -39,7 +39,7 @@ LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
 
 
-class Listener:
+class OpenLoopSeries:
     """Notes the open-loop residuals of one sensor, and learns its error models from them.
 
     The series is the reading minus the prediction of an open loop (the filter's own, with everything fed back taken off
@@ -125,7 +125,7 @@ class Listener:
         self._ear = np.array(
             [*(known.get(i, 0.0) for i in range(open_loop_residual.MOUNT)), *self.mount], dtype=np.float64
         )
-        self._memory = ListenerMemory(
+        self._memory = OpenLoopMemory(
             ring=np.full((rows, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
             left_out=np.zeros((LEFT_OUT, 2), np.int64),
@@ -148,12 +148,12 @@ class Listener:
         return self.window > 0 and not self._memory.ended
 
     @property
-    def memory(self) -> ListenerMemory:
+    def memory(self) -> OpenLoopMemory:
         """All that changes; setting one goes back (or on) to it."""
         return self._memory
 
     @memory.setter
-    def memory(self, memory: ListenerMemory) -> None:
+    def memory(self, memory: OpenLoopMemory) -> None:
         recall(self.learners, self._memory.learners, memory.learners)
         self._memory = memory
 

@@ -9,18 +9,27 @@ from weakref import WeakMethod
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.events import Correction, Event, Measurement, Outcome, Passed, Propagated, Relaid, StoodIn
+from navfilter.filter.events import (
+    Correction,
+    Event,
+    Measurement,
+    Outcome,
+    Propagated,
+    SamplesReplaced,
+    SamplesUsed,
+    StateTransformed,
+)
 from navfilter.filter.model_change import Change, adoption
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import open_loop_residual
 from navfilter.learning import consistency
 from navfilter.learning.background import Worker
-from navfilter.learning.consistency import CONTRADICTED, Stretches, departure, is_near
+from navfilter.learning.consistency import CONTRADICTED, ConsistencyRecord, departure, is_near
 from navfilter.learning.doubtful import doubtful_ticks
-from navfilter.learning.input_buffer import Kept
-from navfilter.learning.learning_memory import Again, LearningMemory, relaid
-from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
+from navfilter.learning.input_buffer import InputBuffer
+from navfilter.learning.learning_memory import LearningMemory, RerunRequest, relaid
+from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopSeries
 from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import as_described, learning_part
@@ -77,21 +86,21 @@ class LearningSchedule:
 
     def __init__(self, filter: FilterState, behind_s: float, worker: Worker | None = None) -> None:
         self.filter, self.behind_s, self.worker = filter, behind_s, worker or Worker(threads=False)
-        self.listeners: dict[str, Listener] = {}
+        self.listeners: dict[str, OpenLoopSeries] = {}
         vehicle, start_s = filter.vehicle, filter.time_s
         self._start_s, self._stage, self._hopping = start_s, 0, False
         self._gravity = vehicle.drive.gravity
         self._quiet_s, self._ask_s = -math.inf, start_s + self.ASKED_S
         self._waiting: tuple[Change, ...] = ()
-        self.again: Again | None = None
-        self._told, self._refused = Stretches(), False
+        self.again: RerunRequest | None = None
+        self._told, self._refused = ConsistencyRecord(), False
         self._fed_back = np.zeros(2 * filter.layout.head + 2)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
         for name, sensor in vehicle.sensors.items():
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
-        self.beginning = Kept(tuple(vehicle.sensors)) if self.listeners else None
+        self.beginning = InputBuffer(tuple(vehicle.sensors)) if self.listeners else None
         #: Fixes that nothing is learnt of, of a vehicle with constants that are states.
         self.fixes = consistency.told_by(filter) - set(self.listeners) if self.listeners else set()
         if self.listeners:
@@ -143,7 +152,7 @@ class LearningSchedule:
             raise ValueError(f'"{name}" is no sensor of this vehicle (sensors: {", ".join(channels)}).')
         about = channels[name].sensor, self.filter.vehicle, np.diag(channels[name].lever)
         expect = WeakMethod(self._expect) if self.worker.threads else None
-        self.listeners[name] = Listener(name, *about, self.behind_s, self.worker, capacity, expect)
+        self.listeners[name] = OpenLoopSeries(name, *about, self.behind_s, self.worker, capacity, expect)
 
     def series(self, name: str) -> tuple[ChannelSeries, ...]:
         """Open-loop residuals of a sensor that is listened to, one series per axis.
@@ -166,7 +175,7 @@ class LearningSchedule:
 
     def heard(self, event: Event) -> Sequence[Change]:
         """Listen to an event of the filter; returns the error models to adopt."""
-        if isinstance(event, Passed):
+        if isinstance(event, SamplesUsed):
             return self._passed(event.samples)
         if not self.listeners:
             return ()
@@ -174,10 +183,10 @@ class LearningSchedule:
             return () if event.channel is None else self._corrected(event, event.channel)
         if isinstance(event, Propagated):
             open_loop_residual.carry(self._fed_back, event.transition)
-        elif isinstance(event, StoodIn):
+        elif isinstance(event, SamplesReplaced):
             for listener in self.listeners.values():
                 listener.begin_anew(event.seconds)
-        elif isinstance(event, Relaid):
+        elif isinstance(event, StateTransformed):
             self._relaid(event.M)
             if event.anew:
                 self._state_reset(open_loop_residual.HEADING)
@@ -208,7 +217,9 @@ class LearningSchedule:
             return (first,)
         return () if listener is None else self.attended(listener, outcome, time_s, doubtful)
 
-    def attended(self, listener: Listener, outcome: Outcome, time_s: float, doubtful: int = 0) -> Sequence[Change]:
+    def attended(
+        self, listener: OpenLoopSeries, outcome: Outcome, time_s: float, doubtful: int = 0
+    ) -> Sequence[Change]:
         """What follows when a reading has been listened to; its last ticks may be `doubtful`."""
         if time_s < self.learning_s:
             return ()
@@ -222,7 +233,7 @@ class LearningSchedule:
             return self.listeners[name].ear
         return _ASKED if name in self.fixes else _DEAF
 
-    def _due(self, listener: Listener, accepted: bool) -> Sequence[Change]:
+    def _due(self, listener: OpenLoopSeries, accepted: bool) -> Sequence[Change]:
         models = listener.learnt() if listener.is_answered else None
         if listener.is_due and accepted:
             listener.begin_hop()
@@ -349,7 +360,7 @@ class LearningSchedule:
                 listener.settle(ages[name])
             learnt = {name: listener.memory.models for name, listener in self.listeners.items()}
             in_force = self.filter.described_models(learnt)
-            self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"] + len(learnt))
+            self.again = RerunRequest(tuple(in_force.items()), self.filter.counts["adopted"] + len(learnt))
             return
         self._go_on()
         self._waiting = tuple(Change(name, models) for name, models in found.items())
@@ -375,7 +386,7 @@ class LearningSchedule:
         described = {name: listener.described for name, listener in self.listeners.items()}
         if models != described and max(departure(self.filter), self._told.disagreement) >= CONTRADICTED:
             in_force = self.filter.described_models({name: as_described(own) for name, own in described.items()})
-            self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
+            self.again = RerunRequest(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
 
     @property
     def compares(self) -> bool:
@@ -432,17 +443,21 @@ class LearningSchedule:
         """S(0) of what is learnt, per axis; 1 where nothing is."""
         return {name: listener.levels for name, listener in self.listeners.items()}
 
-    def begin_again(self, until_s: float) -> Kept:
+    def begin_again(self, until_s: float) -> InputBuffer:
         """The filter stands at the start again: listen from there, and learn nothing before `until_s`; returns the
         inputs of the beginning, which are kept anew if it may be done once more.
         """
         for listener in self.listeners.values():
             listener.begin_again()
-        self._fed_back, self._told, self._refused = np.zeros(2 * self.filter.layout.head + 2), Stretches(), False
+        self._fed_back, self._told, self._refused = (
+            np.zeros(2 * self.filter.layout.head + 2),
+            ConsistencyRecord(),
+            False,
+        )
         if self.rest is not None:
             self.rest.begin_again()
         names = tuple(self.filter.channels)
-        inputs, self.beginning = self.beginning or Kept(names), Kept(names)
+        inputs, self.beginning = self.beginning or InputBuffer(names), InputBuffer(names)
         self._quiet_s, self._waiting = until_s, ()
         if self.again is not None and not self.again.given_up:
             self._levels = self._present_levels()

@@ -13,7 +13,7 @@ from navfilter.learning.learner_memory import LearnerMemory
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.navigation_drift import Drift
 
-__all__ = ["ChannelSeries", "Hop", "ListenerMemory"]
+__all__ = ["ChannelSeries", "Hop", "OpenLoopMemory"]
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class Hop:
 
 
 @dataclass
-class ListenerMemory:
+class OpenLoopMemory:
     """What a listener remembers.
 
     Attributes

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["EFFORT", "Effort"]
+__all__ = ["EFFORT", "OptimiserSettings"]
 
 
 @dataclass(frozen=True)
-class Effort:
+class OptimiserSettings:
     """Numerical effort of learning; none of it says what is believed of a sensor.
 
     Attributes
@@ -75,4 +75,4 @@ class Effort:
     dampings: tuple[float, ...] = (1e-4, 1e-2, 0.3, 10.0)
 
 
-EFFORT = Effort()
+EFFORT = OptimiserSettings()

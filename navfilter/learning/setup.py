@@ -7,7 +7,7 @@ from dataclasses import replace
 from navfilter.kernels import open_loop_residual
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.fast_prior import quick_description
-from navfilter.learning.learned_model import Learnt
+from navfilter.learning.learned_model import LearnedModel
 from navfilter.learning.slow_prior import SlowPrior, slow_prior
 from navfilter.learning.white_prior import white_description
 from navfilter.models.error_models import ErrorModel
@@ -18,7 +18,7 @@ from navfilter.models.sensors import Sensor
 __all__ = ["believed", "learner_of", "span_s", "with_learnt"]
 
 
-def with_learnt(model: ErrorModel, found: Learnt | None, frozen: bool = False) -> ErrorModel:
+def with_learnt(model: ErrorModel, found: LearnedModel | None, frozen: bool = False) -> ErrorModel:
     """An error model with what was found in force, and with nothing more to be learnt where it is `frozen`."""
     part = learned_part(model)
     if part is None or found is None:

@@ -61,7 +61,7 @@ class RestMemory:
     heard : int
         Ticks that have been learnt from.
     models, learners
-        As in `navfilter.learning.open_loop_series.ListenerMemory`, for the six axes.
+        As in `navfilter.learning.open_loop_series.OpenLoopMemory`, for the six axes.
     """
 
     SHARED: ClassVar = ("ring",)

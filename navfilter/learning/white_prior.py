@@ -25,7 +25,7 @@ from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, S
 from navfilter.models.navigation_drift import Drift
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Doubt", "WhiteDescription", "white_description"]
+__all__ = ["SlowErrorEvidence", "WhitePriorTest", "white_description"]
 
 Array = NDArray[np.float64]
 #: A part with a smaller probability is none.
@@ -34,7 +34,7 @@ IMPROBABLE = 1e-3
 NOTHING = 1e-4
 
 
-class Doubt(NamedTuple):
+class SlowErrorEvidence(NamedTuple):
     """A slow error beside a fast one, where a description has none.
 
     Attributes
@@ -55,7 +55,7 @@ class Doubt(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WhiteDescription:
+class WhitePriorTest:
     """White noise as it stands in a vehicle file.
 
     Parameters
@@ -78,7 +78,7 @@ class WhiteDescription:
         """A fast part alone has poles at least this quick [s]: what is slower is a slow error."""
         return math.inf if self.usual is None else self.usual.quickest_s
 
-    def doubt(self, found: Point, series: Array, drift: Drift, white: float) -> Doubt | None:
+    def doubt(self, found: Point, series: Array, drift: Drift, white: float) -> SlowErrorEvidence | None:
         """What speaks for a slow error beside a fast one that was found alone; None where none can be looked for.
 
         Parameters
@@ -102,7 +102,7 @@ class WhiteDescription:
         # the posterior's odds are against none beside a fast part that may have counted on one
         smallest = 1, [math.log(self.usual.tau_s)], [math.log(self.usual.sd_limits[0])], 0
         less = both.lines(both.fast(beside.theta, 1), found.p, *smallest) - both.lines(found.theta, found.p, *smallest)
-        return Doubt(both, beside, posterior, posterior.log_odds - float(less[0]))
+        return SlowErrorEvidence(both, beside, posterior, posterior.log_odds - float(less[0]))
 
     def unseen(self, found: ArmaModel, series: Array, drift: Drift, white: float) -> tuple[GaussMarkov, ...]:
         """The slow part that stays believed: none where the readings have the power that was described, within a
@@ -144,7 +144,7 @@ class WhiteDescription:
 
 def white_description(
     model: ErrorModel, period_s: float, span_s: float, kind: ErrorModel | None = None
-) -> WhiteDescription | None:
+) -> WhitePriorTest | None:
     """What a description without coloured noise says; None where it has some, or says nothing.
 
     Parameters
@@ -165,4 +165,4 @@ def white_description(
     if not level > 0.0:
         return None
     usual = None if kind is None else slow_prior(kind, period_s, span_s)
-    return WhiteDescription(level, span_s, None if usual is None else replace(usual, sd=math.sqrt(level), absent=0.5))
+    return WhitePriorTest(level, span_s, None if usual is None else replace(usual, sd=math.sqrt(level), absent=0.5))

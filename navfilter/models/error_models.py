@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.foundation.display import Value
-from navfilter.foundation.frozen import Typed
+from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.continuous import gauss_markov
 from navfilter.timeseries.roots import is_stable
 from navfilter.timeseries.stationary import stationary_covariance
@@ -106,7 +106,7 @@ def _as_walk(block: Block) -> Integrated:
     return Integrated(block.r, float(block.C @ block.Q @ block.C), float(block.C @ block.P0 @ block.C))
 
 
-class ErrorModel(Typed):
+class ErrorModel(FrozenDescription):
     """Base of all error models; a model is a frozen value and models add with ``+``."""
 
     def block(self, period_s: float) -> Block:

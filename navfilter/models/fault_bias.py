@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, per_axis
 
 __all__ = [
-    "Deviation",
-    "Offset",
-    "Proportion",
+    "FaultBias",
+    "FaultDeviation",
+    "FaultScale",
     "described",
     "deviations",
     "has_offset",
@@ -31,7 +31,7 @@ DEVIATES = math.radians(60.0)
 
 
 @dataclass(frozen=True)
-class Offset(RandomWalk):
+class FaultBias(RandomWalk):
     """A constant by which a sensor was found to be off while under way, beside its error model.
 
     Parameters
@@ -47,7 +47,7 @@ class Offset(RandomWalk):
 
 
 @dataclass(frozen=True)
-class Proportion(Offset):
+class FaultScale(FaultBias):
     """What a velocity sensor was found to be off by, as far as that is in proportion to the speed: a scale that has
     jumped looks like a constant until the vehicle changes its speed.
 
@@ -61,7 +61,7 @@ class Proportion(Offset):
 
 
 @dataclass(frozen=True)
-class Deviation(Offset):
+class FaultDeviation(FaultBias):
     """What a compass was found to be off by, as far as that goes with the heading: iron that has come near it turns
     with the vehicle. Of one cycle (National Geospatial-Intelligence Agency, "Handbook of magnetic compass adjustment",
     2004).
@@ -80,40 +80,41 @@ def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
 
 
 def _plain(model: ErrorModel) -> ErrorModel:
-    rest = [part for part in _parts(model) if not isinstance(part, Offset)]
+    rest = [part for part in _parts(model) if not isinstance(part, FaultBias)]
     return sum(rest[1:], start=rest[0])
 
 
 def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
-    """Whether the error models of a sensor, one for all axes or one per axis, have an `Offset`."""
+    """Whether the error models of a sensor, one for all axes or one per axis, have an `FaultBias`."""
     each = models if isinstance(models, tuple) else (models,)
-    return any(isinstance(part, Offset) for model in each for part in _parts(model))
+    return any(isinstance(part, FaultBias) for model in each for part in _parts(model))
 
 
 def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
-    """Whether an `Offset` among the error models of a sensor wanders: that of one that has jumped by about itself."""
+    """Whether an `FaultBias` among the error models of a sensor wanders: that of one that has jumped by about itself.
+    """
     each = models if isinstance(models, tuple) else (models,)
-    return any(isinstance(part, Offset) and part.density > 0.0 for model in each for part in _parts(model))
+    return any(isinstance(part, FaultBias) and part.density > 0.0 for model in each for part in _parts(model))
 
 
 def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> NDArray[np.int64]:
     """Which states of the error models of a sensor are its offsets, axis by axis, or of one axis only; empty where it
     has none.
     """
-    found = [(axis, at) for axis, at, part in _places(models, period_s) if isinstance(part, Offset)]
+    found = [(axis, at) for axis, at, part in _places(models, period_s) if isinstance(part, FaultBias)]
     return np.array([at for axis, at in found if only in (None, axis)], dtype=np.int64)
 
 
 def proportions(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Axes and states of each `Proportion`, shape (2, k), and the speed at which it is the error [m/s], shape (k,)."""
-    found = [(axis, at, part.at_m_s) for axis, at, part in _places(models, period_s) if isinstance(part, Proportion)]
+    """Axes and states of each `FaultScale`, shape (2, k), and the speed at which it is the error [m/s], shape (k,)."""
+    found = [(axis, at, part.at_m_s) for axis, at, part in _places(models, period_s) if isinstance(part, FaultScale)]
     table = np.array(found, dtype=np.float64).reshape(-1, 3)
     return table[:, :2].T.astype(np.int64), table[:, 2]
 
 
 def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """States of each `Deviation`, shape (k,), and the heading at which it is the error [rad], shape (k,)."""
-    found = [(at, part.of_rad) for _, at, part in _places(models, period_s) if isinstance(part, Deviation)]
+    """States of each `FaultDeviation`, shape (k,), and the heading at which it is the error [rad], shape (k,)."""
+    found = [(at, part.of_rad) for _, at, part in _places(models, period_s) if isinstance(part, FaultDeviation)]
     table = np.array(found, dtype=np.float64).reshape(-1, 2)
     return table[:, 0].astype(np.int64), table[:, 1]
 
@@ -135,9 +136,9 @@ def with_offsets(
     only: int | None = None,
     deviates: bool = False,
 ) -> tuple[ErrorModel, ...]:
-    """Error models with an `Offset` of this standard deviation each, or of one axis only, which wanders with a density,
-    and beside it a `Proportion` at a speed, or a `Deviation` with the heading (two, where iron may
-    do that); without any where the size is 0.
+    """Error models with an `FaultBias` of this standard deviation each, or of one axis only, which wanders with a
+    density, and beside it a `FaultScale` at a speed, or a `FaultDeviation` with the heading (two, where iron may do
+    that); without any where the size is 0.
 
     Examples
     --------
@@ -148,10 +149,10 @@ def with_offsets(
     plain = tuple(_plain(model) for model in models)
     if not size:
         return plain
-    added: tuple[Offset, ...] = (Offset(density=density, start_sd=size),)
-    added += (Proportion(start_sd=size, at_m_s=at_m_s),) if at_m_s else ()
+    added: tuple[FaultBias, ...] = (FaultBias(density=density, start_sd=size),)
+    added += (FaultScale(start_sd=size, at_m_s=at_m_s),) if at_m_s else ()
     if deviates and size <= DEVIATES:
-        added += tuple(Deviation(start_sd=size, of_rad=of_rad) for of_rad in (0.0, 0.5 * math.pi))
+        added += tuple(FaultDeviation(start_sd=size, of_rad=of_rad) for of_rad in (0.0, 0.5 * math.pi))
     return tuple(sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain))
 
 
@@ -172,5 +173,5 @@ def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ..
     """New error models with the offsets that the old ones have: who learns them knows nothing of offsets."""
     pairs = zip(new, old, strict=True)
     return tuple(
-        sum((part for part in _parts(was) if isinstance(part, Offset)), start=_plain(model)) for model, was in pairs
+        sum((part for part in _parts(was) if isinstance(part, FaultBias)), start=_plain(model)) for model, was in pairs
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from navfilter.foundation import utc
-from navfilter.foundation.frozen import Typed
+from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import strapdown
 from navfilter.models.state import NavState, matrix_from_euler
 
@@ -21,7 +21,7 @@ def _known(value: object) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start(Typed):
+class Start(FrozenDescription):
     """Where a run starts and how well that is known.
 
     Parameters

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from navfilter.foundation.display import card
 from navfilter.foundation.frozen import typed
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
-from navfilter.models.mechanisation import Coasting, Imu, Mechanisation
+from navfilter.models.mechanisation import DeadReckoningLane, Imu, Mechanisation
 from navfilter.models.sensors import Attitude, Sensor
 from navfilter.models.start import Start
 
@@ -174,7 +174,7 @@ class Vehicle:
     def _reckoning(self) -> Vehicle:
         """The lane without an inertial unit: as if the one there were dead."""
         unit = next(iter(self.units.values()))
-        drive = Coasting(
+        drive = DeadReckoningLane(
             gap_rate_sd=unit.gap_rate_sd,
             gap_force_sd=unit.gap_force_sd,
             max_speed_m_s=unit.max_speed_m_s,

@@ -20,18 +20,18 @@ from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
-from navfilter.learning.learning_memory import Again, LearningMemory
+from navfilter.learning.learning_memory import LearningMemory, RerunRequest
 from navfilter.navigation.runner import Rerun
 
 if TYPE_CHECKING:
     from navfilter.navigation.run import Run
 
-__all__ = ["Beginning"]
+__all__ = ["EarlyRerun"]
 
 Array = NDArray[np.float64]
 
 
-class Beginning:
+class EarlyRerun:
     """Adopts the early models of a run, and does its beginning again where they are others.
 
     Parameters
@@ -42,13 +42,13 @@ class Beginning:
 
     Attributes
     ----------
-    twin : Twin or None
+    twin : ShadowRun or None
         Who follows the run at present.
     """
 
     def __init__(self, nav: Run, worker: Worker) -> None:
         self._nav, self._worker = nav, worker
-        self.twin: Twin | None = None
+        self.twin: ShadowRun | None = None
         self._goes_back = False
 
     @contextmanager
@@ -92,7 +92,7 @@ class Beginning:
         here = twin is not None and not self._goes_back and twin.again == learning.again
         if twin is None or not here or twin.process != os.getpid():
             # in place: what runs over this filter goes on with it
-            tried = Twin(nav, learning.again, Worker(threads=False)) if learning.compares else None
+            tried = ShadowRun(nav, learning.again, Worker(threads=False)) if learning.compares else None
             if tried is None or not learning.is_no_better(tried.arrived().learning):
                 _begin_again(nav, learning.again, learning.early_s, learning.early_s)
             return
@@ -101,10 +101,10 @@ class Beginning:
             _change_places(nav, other)
         self._worker.later(partial(self._worker.begin, partial(_let_go, twin)))
 
-    def _follow(self, again: Again) -> None:
+    def _follow(self, again: RerunRequest) -> None:
         """Make a twin, where the beginning is still to be done again so."""
         if self.twin is None and self._nav.learning.again == again:
-            self.twin = Twin(self._nav, again, self._worker)
+            self.twin = ShadowRun(self._nav, again, self._worker)
 
 
 def _change_places(nav: Run, other: Run) -> None:
@@ -121,7 +121,7 @@ def _change_places(nav: Run, other: Run) -> None:
         prompt.exchange(other.prompts[name])
 
 
-def _let_go(twin: Twin) -> None:
+def _let_go(twin: ShadowRun) -> None:
     """Free what is left of a run, on the thread.
 
     Its parts refer to each other, so Python's collector would come upon them in the middle of a call; and a
@@ -132,7 +132,7 @@ def _let_go(twin: Twin) -> None:
         vars(part).clear()
 
 
-class Twin:
+class ShadowRun:
     """Another run over the same inputs as `nav`, from the start with other models.
 
     It is given what `nav` is given, in the order in which it arrives, and works that off on the learning thread.
@@ -141,7 +141,7 @@ class Twin:
     ----------
     nav : Run
         Whose beginning is to be done again; it must have kept its inputs.
-    again : Again
+    again : RerunRequest
     worker : Worker
     """
 
@@ -151,7 +151,7 @@ class Twin:
     #: So long before it is awaited it is given each reading at once [s], so that next to nothing is left to be done.
     CLOSE_S = 0.5
 
-    def __init__(self, nav: Run, again: Again, worker: Worker) -> None:
+    def __init__(self, nav: Run, again: RerunRequest, worker: Worker) -> None:
         self.again, self._worker, self._close_s = again, worker, nav.learning.early_s - self.CLOSE_S
         self._inputs: deque[Array | Measurement] = deque()
         learning = copied(nav.learning.memory)
@@ -197,7 +197,7 @@ class Twin:
         return run
 
 
-def _begun(of: Run, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Run:
+def _begun(of: Run, learning: LearningMemory, again: RerunRequest, until_s: float, now_s: float) -> Run:
     """A twin of a run that has begun again."""
     history_s = 0.0 if of.history is None else of.history.length_s
     kind: Any = type(of)
@@ -211,7 +211,7 @@ def _begun(of: Run, learning: LearningMemory, again: Again, until_s: float, now_
     return twin
 
 
-def _begin_again(nav: Run, again: Again, until_s: float, now_s: float) -> None:
+def _begin_again(nav: Run, again: RerunRequest, until_s: float, now_s: float) -> None:
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
     nav.filter.counts["adopted"] = again.adopted

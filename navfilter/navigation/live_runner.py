@@ -17,7 +17,7 @@ from navfilter.learning.input_buffer import PIECE
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.learning.input_buffer import Kept
+    from navfilter.learning.input_buffer import InputBuffer
     from navfilter.navigation.run import Run
 
 __all__ = ["ImuFastPath", "MeasurementFastPath", "prompt_sample", "prompts"]
@@ -73,7 +73,7 @@ class ImuFastPath:
     """
 
     _memory: FilterMemory
-    _kept: Kept | None
+    _kept: InputBuffer | None
 
     def __init__(self, nav: Run) -> None:
         assert nav.history is not None
@@ -154,7 +154,7 @@ class MeasurementFastPath:
 
     _filter: Filter
     _memory: FilterMemory
-    _kept: Kept | None
+    _kept: InputBuffer | None
 
     def __init__(self, nav: Run, name: str) -> None:
         assert nav.history is not None

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Readings"]
+__all__ = ["MeasurementSequence"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Readings:
+class MeasurementSequence:
     """All readings of the correcting sensors in the order of the times at which they were taken.
 
     Attributes
@@ -54,7 +54,7 @@ class Readings:
         values, rows = self.values[sensor], self.row[which]
         return values[rows] if isinstance(values, np.ndarray) else [values[row] for row in rows.tolist()]
 
-    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> Readings:
+    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> MeasurementSequence:
         """Some of them by times that are later by so much; of equal times those first that have waited."""
         time_s = (self.time_s + by_s)[which]
         order = np.lexsort((by_s[which] <= 0.0, time_s))

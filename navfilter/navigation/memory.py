@@ -5,30 +5,30 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from navfilter.faults.alternative_path import RefusedWay
+from navfilter.faults.alternative_path import AlternativePath
 from navfilter.faults.clocks.burst_stamps import BurstsMemory
-from navfilter.faults.clocks.imu_clock import Arrived, DriveClockMemory
+from navfilter.faults.clocks.imu_clock import DriveClockMemory, ReceivedMeasurement
 from navfilter.faults.clocks.sensor_clock import Ahead
-from navfilter.faults.dead_reckoning_compass import Reckoned
-from navfilter.faults.heading_fault import Course
-from navfilter.faults.imu.gyro_scale import Turns
-from navfilter.faults.lane_selection import ChoiceMemory
+from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
+from navfilter.faults.heading_fault import TrackRotationFit
+from navfilter.faults.imu.gyro_scale import GyroScaleTest
+from navfilter.faults.lane_selection import LaneChoiceMemory
 from navfilter.faults.memory import MonitorMemory, SensorFaults
-from navfilter.faults.noise_scale import Scatter
-from navfilter.faults.refusals import Refusals
-from navfilter.faults.sensor_monitor import Watch
-from navfilter.faults.velocity_fault import Aside
+from navfilter.faults.noise_scale import NoiseScale
+from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.sensor_monitor import SensorMonitor
+from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
-from navfilter.filter.imu_intake import IntakeMemory
+from navfilter.filter.imu_intake import ImuIntakeMemory
 from navfilter.filter.model_change import Change
 from navfilter.foundation.state_values import misfit
-from navfilter.learning.consistency import Stretches
-from navfilter.learning.input_buffer import Kept, Rows
+from navfilter.learning.consistency import ConsistencyRecord
+from navfilter.learning.input_buffer import InputBuffer, Rows
 from navfilter.learning.learner_memory import LearnerMemory
-from navfilter.learning.learning_memory import Again, LearningMemory
-from navfilter.learning.series_memory import Hop, ListenerMemory
+from navfilter.learning.learning_memory import LearningMemory, RerunRequest
+from navfilter.learning.series_memory import Hop, OpenLoopMemory
 from navfilter.learning.slow_posterior import Line
 from navfilter.learning.static_recorder import RestMemory
 from navfilter.models.spectrum import Spectrum
@@ -62,7 +62,7 @@ class LaneMemory:
     """
 
     run: NavigatorMemory
-    watches: dict[str, Watch]
+    watches: dict[str, SensorMonitor]
     waiting: list[Measurement]
 
 
@@ -73,7 +73,7 @@ class LanesMemory:
     Attributes
     ----------
     lanes : dict of str to LaneMemory
-    choice : ChoiceMemory
+    choice : LaneChoiceMemory
     ticks, levels : int
         Samples and readings of the lane without an inertial unit so far.
     ahead_s : float
@@ -81,7 +81,7 @@ class LanesMemory:
     """
 
     lanes: dict[str, LaneMemory]
-    choice: ChoiceMemory
+    choice: LaneChoiceMemory
     ticks: int
     levels: int
     ahead_s: float
@@ -95,23 +95,23 @@ MEMORY = (
         ChannelMemory,
         MonitorMemory,
         SensorFaults,
-        Refusals,
-        RefusedWay,
-        Course,
-        Reckoned,
-        Aside,
-        Scatter,
-        Turns,
+        RejectionRun,
+        AlternativePath,
+        TrackRotationFit,
+        DeadReckoningComparison,
+        VelocityFault,
+        NoiseScale,
+        GyroScaleTest,
     ),
-    *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived, Ahead),
+    *(ImuIntakeMemory, DriveClockMemory, BurstsMemory, ReceivedMeasurement, Ahead),
     *(
         LearningMemory,
-        Kept,
+        InputBuffer,
         Rows,
-        Again,
-        Stretches,
+        RerunRequest,
+        ConsistencyRecord,
         Change,
-        ListenerMemory,
+        OpenLoopMemory,
         Hop,
         RestMemory,
         LearnerMemory,
@@ -121,7 +121,7 @@ MEMORY = (
 )
 
 
-def check_watches(saved: dict[str, Watch], own: dict[str, Watch]) -> None:
+def check_watches(saved: dict[str, SensorMonitor], own: dict[str, SensorMonitor]) -> None:
     """Raise ValueError for watches from outside that hold anything but what these do, or are of others."""
     if set(saved) != set(own):
         raise ValueError(f"watches must be kept of {', '.join(own)}, found {', '.join(saved)}")

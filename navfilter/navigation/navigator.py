@@ -10,9 +10,9 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
+from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.monitor import FaultMonitor
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors
@@ -28,19 +28,19 @@ from navfilter.models.start import Start
 from navfilter.models.state import NavState, Pose
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation import snapshot as snapshots
-from navfilter.navigation.early_rerun import Beginning
+from navfilter.navigation.early_rerun import EarlyRerun
 from navfilter.navigation.history import History
 from navfilter.navigation.live_runner import prompt_sample, prompts
 from navfilter.navigation.memory import MEMORY, NavigatorMemory, check_watches
-from navfilter.navigation.status import Running, health_of, state_of
-from navfilter.navigation.waiting import Waiting
+from navfilter.navigation.status import NavigatorStatus, health_of, state_of
+from navfilter.navigation.waiting import MeasurementQueue
 
 __all__ = ["Navigator", "Outcome"]
 
 Array = NDArray[np.float64]
 
 
-class Navigator(Running):
+class Navigator(NavigatorStatus):
     """Error-state extended Kalman filter over a vehicle's sensors, in closed loop.
 
     Parameters
@@ -104,14 +104,18 @@ class Navigator(Running):
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed it in the order of time.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
-        self.beginning = Beginning(self, self.learning.worker)
+        self.beginning = EarlyRerun(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
-        self.watches = {name: Watch.of(sensor) for name, sensor in vehicle.sensors.items()}
+        self.watches = {name: SensorMonitor.of(sensor) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
-        self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
-        self.waiting, self._row, self.changes = Waiting(), np.empty((1, 7)), 0  # of anything but by ordinary inputs
+        self.clock = ImuClockMonitor(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
+        self.waiting, self._row, self.changes = (
+            MeasurementQueue(),
+            np.empty((1, 7)),
+            0,
+        )  # of anything but by ordinary inputs
         self.behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self.prompts, self._sample = prompts(self), prompt_sample(self)
 
@@ -129,8 +133,8 @@ class Navigator(Running):
 
         Notes
         -----
-        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`Intake`); one with
-        a NaN or an impossible value repeats the one before. All are counted in `counts`, like long gaps.
+        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`ImuIntake`); one
+        with a NaN or an impossible value repeats the one before. All are counted in `counts`, like long gaps.
         """
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):
@@ -146,13 +150,13 @@ class Navigator(Running):
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
         for item in self.clock.take(samples):
-            if self.waiting.readings or isinstance(item, Arrived):
+            if self.waiting.readings or isinstance(item, ReceivedMeasurement):
                 self._go_on(item)
             else:
                 self._carry(item)
 
-    def _go_on(self, item: Array | Arrived) -> Outcome | None:
-        if isinstance(item, Arrived):
+    def _go_on(self, item: Array | ReceivedMeasurement) -> Outcome | None:
+        if isinstance(item, ReceivedMeasurement):
             return self._place(item)
         self._pass_on(item)
         return None
@@ -199,11 +203,11 @@ class Navigator(Running):
             z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
-        if (held := self.clock.hear(arrived := Arrived(name, time_s, z, sd))) is not None:
+        if (held := self.clock.hear(arrived := ReceivedMeasurement(name, time_s, z, sd))) is not None:
             return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
         return self._place(arrived)
 
-    def _place(self, arrived: Arrived) -> Outcome:
+    def _place(self, arrived: ReceivedMeasurement) -> Outcome:
         self.changes += 1
         name, time_s, z, sd = arrived
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
@@ -391,7 +395,7 @@ class Navigator(Running):
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
         length_s = 0.0 if self.history is None else self.history.length_s
         saved = self.start, length_s, memory.whole(), inputs, self.watches, self.clock.memory, self.waiting.readings
-        return snapshots.write(snapshots.Saved(*saved), self.vehicle, self.time_s, path)
+        return snapshots.write(snapshots.SnapshotContent(*saved), self.vehicle, self.time_s, path)
 
     @classmethod
     def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> Navigator:
@@ -417,7 +421,7 @@ class Navigator(Running):
             raise snapshots.unreadable(error) from error
 
     @classmethod
-    def _revived(cls, vehicle: Vehicle, saved: snapshots.Saved) -> Navigator:
+    def _revived(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent) -> Navigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
         check_watches(saved.watches, nav.watches)
         nav.watches = saved.watches

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.measurements import Readings
+from navfilter.navigation.measurements import MeasurementSequence
 
 __all__ = ["drive_samples", "readings_of"]
 
@@ -46,7 +46,7 @@ def _require(mission: Mission, name: str, why: str, instead: str) -> None:
         )
 
 
-def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
+def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> MeasurementSequence:
     """All readings of the correcting sensors from a time on [s], in the order in which they were taken.
 
     Raises
@@ -77,7 +77,7 @@ def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
     values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
-    return Readings(times[order], stamps[order], number[order], rows[order], names, values, sds)
+    return MeasurementSequence(times[order], stamps[order], number[order], rows[order], names, values, sds)
 
 
 def _check_clocks(vehicle: Vehicle, mission: Mission, stamps: Array) -> None:

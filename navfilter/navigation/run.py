@@ -8,15 +8,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults.clocks.imu_clock import DriveClock
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.clocks.imu_clock import ImuClockMonitor
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.history import History
-from navfilter.navigation.waiting import Waiting
+from navfilter.navigation.waiting import MeasurementQueue
 
 __all__ = ["Run"]
 
@@ -32,9 +32,9 @@ class Run(Protocol):
     learning : LearningSchedule
     history : History or None
         None: nothing may come late.
-    clock : DriveClock
+    clock : ImuClockMonitor
     watches : dict of str to Watch
-    waiting : Waiting
+    waiting : MeasurementQueue
     beginning
         What runs the first minutes again (`navfilter.navigation.early_rerun`).
     prompts
@@ -48,9 +48,9 @@ class Run(Protocol):
     filter: Filter
     learning: LearningSchedule
     history: History | None
-    clock: DriveClock
-    watches: dict[str, Watch]
-    waiting: Waiting
+    clock: ImuClockMonitor
+    watches: dict[str, SensorMonitor]
+    waiting: MeasurementQueue
     beginning: Any
     changes: int
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import noise_scale, sensor_bias
-from navfilter.faults.clocks.imu_clock import DriveClock
+from navfilter.faults.clocks.imu_clock import ImuClockMonitor
 from navfilter.faults.imu import bias_drift
-from navfilter.faults.noise_scale import Scatter
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.noise_scale import NoiseScale
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel, usable
@@ -21,8 +21,8 @@ from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import noise_scale as scatters
 from navfilter.kernels import open_loop_residual, strapdown
-from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, Kept
-from navfilter.navigation.measurements import Readings
+from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, InputBuffer
+from navfilter.navigation.measurements import MeasurementSequence
 from navfilter.navigation.run import Run
 
 __all__ = ["BatchRunner", "Rerun"]
@@ -53,7 +53,7 @@ class BatchRunner:
         Without a history, and without threads.
     times, values : ndarray, shapes (n,) and (n, 6)
         Samples of the drive.
-    readings : Readings
+    readings : MeasurementSequence
     done : int
         Samples before the start: they are not taken.
     before : ndarray of int, optional
@@ -65,7 +65,7 @@ class BatchRunner:
         nav: Run,
         times: Array,
         values: Array,
-        readings: Readings,
+        readings: MeasurementSequence,
         done: int = 0,
         before: Ints | None = None,
     ) -> None:
@@ -73,7 +73,7 @@ class BatchRunner:
         self._lead_s = np.array([nav.filter.channels[name].lead_s for name in readings.names])
         self._waits = before is None and bool(self._lead_s.any())
         if before is None:
-            nav.clock = DriveClock(nav.filter.period_s, live=False)  # a recording is in the order of its stamps
+            nav.clock = ImuClockMonitor(nav.filter.period_s, live=False)  # a recording is in the order of its stamps
         if self._waits:
             self._readings = readings = readings.later(self._lead_s[readings.sensor])
         self._ends = self._samples_before() if before is None else before.astype(np.int64)
@@ -92,7 +92,7 @@ class BatchRunner:
         self._begin = self._end = 0
         self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 6), np.int64)
 
-    def _watched(self) -> list[Watch]:
+    def _watched(self) -> list[SensorMonitor]:
         return [self.nav.watches[name] for name in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
@@ -319,7 +319,7 @@ class BatchRunner:
             memory.recent = recent[newest : newest + len(memory.recent)].copy()
         for channel, row in zip(self._channels, scattered[0], strict=False):
             if channel.faults.scatters:
-                channel.faults.scatter = Scatter.of(row[: scatters.size(channel.axes)].copy())
+                channel.faults.scatter = NoiseScale.of(row[: scatters.size(channel.axes)].copy())
         self._written(now, cursor, heard, watched, first, why, out)
         self._overheard(hearing[1], int(first[0]))
         return why
@@ -414,10 +414,10 @@ class Rerun(BatchRunner):
     Parameters
     ----------
     nav : Run
-    inputs : Kept
+    inputs : InputBuffer
     """
 
-    def __init__(self, nav: Run, inputs: Kept) -> None:
+    def __init__(self, nav: Run, inputs: InputBuffer) -> None:
         samples, heads = inputs.samples.whole(inputs.samples.count), inputs.readings.whole(inputs.readings.count)
         flat, names = inputs.values.whole(inputs.values.count)[:, 0], tuple(nav.filter.channels)
         self._frozen, self._as_before = heads[:, FROZEN] != 0.0, heads[:, AS_BEFORE] != 0.0
@@ -437,11 +437,11 @@ class Rerun(BatchRunner):
             own = [inputs.sds.get(k) for k in mine.tolist()] if inputs.sds else []
             sds.append(own if any(sd is not None for sd in own) else None)
         times, before = heads[:, TIME_S].copy(), heads[:, BEFORE].astype(np.int64)
-        given = Readings(times, times, sensor, row, names, tuple(values), tuple(sds))
+        given = MeasurementSequence(times, times, sensor, row, names, tuple(values), tuple(sds))
         super().__init__(nav, samples[:, 0].copy(), samples[:, 1:].copy(), given, 0, before)
 
-    def _watched(self) -> list[Watch]:
-        return [Watch(math.inf, math.inf) for _ in self._readings.names]
+    def _watched(self) -> list[SensorMonitor]:
+        return [SensorMonitor(math.inf, math.inf) for _ in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
         return self._as_before

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.clocks.imu_clock import DriveClockMemory
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
 from navfilter.foundation.arguments import needs
 from navfilter.foundation.state_values import from_arrays, to_arrays
@@ -35,7 +35,7 @@ from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Saved", "content", "fingerprint", "read", "write"]
+__all__ = ["SnapshotContent", "content", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
 FORMAT = 20
@@ -44,7 +44,7 @@ LARGEST = 256 << 20
 
 
 @dataclass
-class Saved:
+class SnapshotContent:
     """What a snapshot holds.
 
     Attributes
@@ -66,7 +66,7 @@ class Saved:
     history_s: float
     memory: Any
     inputs: list[NDArray[np.float64] | Measurement]
-    watches: dict[str, Watch]
+    watches: dict[str, SensorMonitor]
     clock: DriveClockMemory
     waiting: list[Measurement]
 
@@ -98,7 +98,7 @@ def _spelt(value: Any) -> str:
     return repr(float(value)) if type(value) is int else repr(value)
 
 
-def write(saved: Saved, vehicle: Vehicle, time_s: float, path: str | PathLike[str] | None) -> bytes:
+def write(saved: SnapshotContent, vehicle: Vehicle, time_s: float, path: str | PathLike[str] | None) -> bytes:
     """See `navfilter.navigation.navigator.Navigator.snapshot`."""
     out = io.BytesIO()
     np.savez(out, **to_arrays(saved))  # type: ignore[arg-type]
@@ -158,7 +158,7 @@ def content(path: str | PathLike[str]) -> bytes:
     return Path(path).read_bytes()
 
 
-def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[type]) -> Saved:
+def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[type]) -> SnapshotContent:
     """What a snapshot of this vehicle holds; nothing of it is checked against the vehicle but the fingerprint.
 
     Parameters
@@ -187,10 +187,10 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
                 raise ValueError(f"{damaged} is damaged")
         with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("meta", "floats", "integers")}
-        saved = from_arrays(arrays, [Saved, Start, Watch, Measurement, ErrorModel, ArmaModel, *kinds])
+        saved = from_arrays(arrays, [SnapshotContent, Start, SensorMonitor, Measurement, ErrorModel, ArmaModel, *kinds])
     except Exception as error:  # numpy, zipfile, zlib and json raise many unrelated types on broken archives
         raise unreadable(error) from error
-    if not isinstance(saved, Saved):
+    if not isinstance(saved, SnapshotContent):
         raise unreadable(f"it holds a {type(saved).__name__}")
     return saved
 

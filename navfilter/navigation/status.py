@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from navfilter.faults import protection_level
 from navfilter.faults.alternative_path import since_fix
 from navfilter.faults.bias_plausibility import beside
-from navfilter.faults.clocks.imu_clock import DriveClock
+from navfilter.faults.clocks.imu_clock import ImuClockMonitor
 from navfilter.faults.heading_fault import led_astray, told_by_fixes
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.filter import Filter
 from navfilter.filter.sensor_channel import Channel
@@ -24,12 +24,12 @@ from navfilter.models.health import CALM, Bounds, Health, LearningHealth
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.state import NavState
 
-__all__ = ["Running", "health_of", "state_of"]
+__all__ = ["NavigatorStatus", "health_of", "state_of"]
 
 Array = NDArray[np.float64]
 
 
-class Running(Shown):
+class NavigatorStatus(Shown):
     """What navigators share: how they show themselves, and what a copy of one is."""
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -46,14 +46,20 @@ class Running(Shown):
         return f"{type(self).__name__} of {now.vehicle.name}, {title.removeprefix('NavState ')}", rows
 
 
-def state_of(filter: Filter, watches: Mapping[str, Watch], clock: DriveClock, learning: LearningHealth) -> NavState:
+def state_of(
+    filter: Filter, watches: Mapping[str, SensorMonitor], clock: ImuClockMonitor, learning: LearningHealth
+) -> NavState:
     """The state with its covariance and health, now; a copy."""
     state = filter.state
     return replace(state, health=health_of(filter, watches, clock, learning, state))
 
 
 def health_of(
-    filter: Filter, watches: Mapping[str, Watch], clock: DriveClock, learning: LearningHealth, state: NavState
+    filter: Filter,
+    watches: Mapping[str, SensorMonitor],
+    clock: ImuClockMonitor,
+    learning: LearningHealth,
+    state: NavState,
 ) -> Health:
     """What the sensors are worth at present, how far the truth may be, and whether the state is to be trusted.
 
@@ -62,7 +68,7 @@ def health_of(
     filter : Filter
     watches : dict of str to Watch
         By sensor.
-    clock : DriveClock
+    clock : ImuClockMonitor
     learning : LearningHealth
     state : NavState
         That of the filter, now.
@@ -116,7 +122,7 @@ def health_of(
     )
 
 
-def _last_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, float, float]:
+def _last_fix(filter: Filter, watches: Mapping[str, SensorMonitor]) -> tuple[float, float, float]:
     """Time [s], latitude and longitude [rad] of the last fix that was used, or of the start."""
     start = filter.start
     last = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
@@ -133,7 +139,7 @@ def _distance(nav: Array, latitude: float, longitude: float) -> float:
     return math.hypot(north, east)
 
 
-def _off(channel: Channel, watch: Watch, now_s: float) -> float:
+def _off(channel: Channel, watch: SensorMonitor, now_s: float) -> float:
     """What a sensor may be off by; 0 for one that has not been heard, or has been found to be off."""
     sensor, kept, a = channel.sensor, channel.faults, channel.axes
     if channel.offset or not sensor.observes.corrects:

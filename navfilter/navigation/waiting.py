@@ -7,10 +7,10 @@ from bisect import insort
 
 from navfilter.filter.events import Measurement
 
-__all__ = ["Waiting"]
+__all__ = ["MeasurementQueue"]
 
 
-class Waiting:
+class MeasurementQueue:
     """A short queue, in the order of the times at which its readings are taken.
 
     A time offset is found from how the vehicle moved when the reading was taken. When the stamp may be early, that lies

@@ -22,7 +22,7 @@ from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.tracks import replayed_lanes
-from navfilter.navigation.measurements import Readings
+from navfilter.navigation.measurements import MeasurementSequence
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner
@@ -249,7 +249,7 @@ def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
     return align(vehicle, mission)
 
 
-def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress: bool) -> None:
+def _run(nav: Navigator, times: Array, values: Array, events: MeasurementSequence, progress: bool) -> None:
     done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
     if done >= len(times):
         raise ValueError(

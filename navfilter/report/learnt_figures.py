@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.evaluation.learned_text import Learnt
+from navfilter.evaluation.learned_text import LearnedText
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Line, Panel, Part, Points, Stack, short
 
@@ -31,12 +31,12 @@ class SpectrumBand(NamedTuple):
     high: Array
 
 
-def learnt_figures(found: tuple[Learnt, ...], end_s: float) -> Iterator[tuple[str, Stack]]:
+def learnt_figures(found: tuple[LearnedText, ...], end_s: float) -> Iterator[tuple[str, Stack]]:
     """Caption and figure, spectrum and history of every axis, one after the other.
 
     Parameters
     ----------
-    found : tuple of Learnt
+    found : tuple of LearnedText
     end_s : float
         Until when the last models are in force [s].
     """
@@ -50,7 +50,7 @@ def learnt_figures(found: tuple[Learnt, ...], end_s: float) -> Iterator[tuple[st
         yield f"{text} A pole radius of 1 would be a random walk.", adopted_figure(history, end_s)
 
 
-def learnt_band(history: Learnt) -> SpectrumBand:
+def learnt_band(history: LearnedText) -> SpectrumBand:
     """The learnt spectrum with the range from 5 to 95 % that its posterior leaves; empty for a model from a file."""
     freq_hz, low, median, high = history.spectrum
     if not freq_hz.size:
@@ -59,12 +59,12 @@ def learnt_band(history: Learnt) -> SpectrumBand:
     return SpectrumBand(freq_hz, low, median, high)
 
 
-def spectrum_figure(history: Learnt, band: SpectrumBand | None = None) -> Stack:
+def spectrum_figure(history: LearnedText, band: SpectrumBand | None = None) -> Stack:
     """Density of the learnt error with its range, and of what was believed, over frequency.
 
     Parameters
     ----------
-    history : Learnt
+    history : LearnedText
     band : SpectrumBand, optional
         Default `learnt_band`.
     """
@@ -84,12 +84,12 @@ def spectrum_figure(history: Learnt, band: SpectrumBand | None = None) -> Stack:
     return Stack((Panel(label, parts, limits, log=True),), 2.2, x_label="frequency [Hz]", log_x=True)
 
 
-def adopted_figure(history: Learnt, end_s: float) -> Stack:
+def adopted_figure(history: LearnedText, end_s: float) -> Stack:
     """Coefficients, radii of the poles and innovation sd of the adopted models over time.
 
     Parameters
     ----------
-    history : Learnt
+    history : LearnedText
     end_s : float
         Until when the last model is in force.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Surfacing
-from navfilter.evaluation.learned_text import Learnt
+from navfilter.evaluation.learned_text import LearnedText
 from navfilter.rendering.panels import Mark, short
 from navfilter.report.lane_figures import lane_marks
 from navfilter.track.track import Track
@@ -19,7 +19,7 @@ OUTAGES = ("#8c6bb1", "#7fa8c9", "#c9a227", "#b0647a")
 MOST = 60
 
 
-def marks(track: Track, surfacings: tuple[Surfacing, ...], learnt: tuple[Learnt, ...]) -> tuple[Mark, ...]:
+def marks(track: Track, surfacings: tuple[Surfacing, ...], learnt: tuple[LearnedText, ...]) -> tuple[Mark, ...]:
     """Everything worth a mark in the figures over time.
 
     Parameters
@@ -27,7 +27,7 @@ def marks(track: Track, surfacings: tuple[Surfacing, ...], learnt: tuple[Learnt,
     track : Track
         For its outages.
     surfacings : tuple of Surfacing
-    learnt : tuple of Learnt
+    learnt : tuple of LearnedText
     """
     found = [mark for name in track.residuals for mark in outages(track, name)]
     found += [Mark(s.time_s, s.time_s, "surfacing", str(s), SURFACING) for s in surfacings]
@@ -58,7 +58,7 @@ def outages(track: Track, name: str) -> list[Mark]:
     ]
 
 
-def adoptions(learnt: tuple[Learnt, ...], begin_s: float) -> list[Mark]:
+def adoptions(learnt: tuple[LearnedText, ...], begin_s: float) -> list[Mark]:
     """The moments after `begin_s` at which a learnt model came into force; a run may begin with one."""
     return [
         Mark(t, t, "model adopted", f"{history.title}: model of order ({model.p}, {model.q}) adopted", ADOPTION)

@@ -14,7 +14,7 @@ import numpy as np
 
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.fix_reacquisition import Evidence
-from navfilter.evaluation.learned_text import Learnt, Scale, error_words, in_force
+from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
 from navfilter.evaluation.verdict import Verdict
 from navfilter.io.write import summarise
 from navfilter.models.mission import Mission, Stream
@@ -164,7 +164,7 @@ def _band_caption(truth: Stream | None, columns: slice) -> str:
     return "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band."
 
 
-def _learnt(found: tuple[Learnt, ...]) -> list[Section]:
+def _learnt(found: tuple[LearnedText, ...]) -> list[Section]:
     """What every axis has learnt, in words; the spectra stand with the sensors."""
     return [Section("What was learnt", (list_html(map(str, found)),))] if found else []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from navfilter.evaluation.learned_text import Learnt
+from navfilter.evaluation.learned_text import LearnedText
 from navfilter.filter.records import OUTCOMES
 from navfilter.rendering.page import Section, escape
 from navfilter.rendering.panels import Mark, Stack
@@ -22,13 +22,13 @@ Tracks = Mapping[str, Track]
 _PANELS = 6
 
 
-def sensor_sections(tracks: Tracks, learnt: tuple[Learnt, ...], instrument: Instrument) -> Iterator[str | Section]:
+def sensor_sections(tracks: Tracks, learnt: tuple[LearnedText, ...], instrument: Instrument) -> Iterator[str | Section]:
     """A menu, and one section for each sensor and each part of the drive that has something to show.
 
     Parameters
     ----------
     tracks : dict of str to Track
-    learnt : tuple of Learnt
+    learnt : tuple of LearnedText
         Of the result.
     instrument : Instrument
     """
@@ -58,7 +58,7 @@ def _owner(title: str, owners: list[str]) -> str | None:
     return max((name for name in owners if title == name or title.startswith(f"{name} ")), key=len, default=None)
 
 
-def _innovations(runs: Tracks, name: str, learnt: tuple[Learnt, ...], instrument: Instrument) -> Iterator[str]:
+def _innovations(runs: Tracks, name: str, learnt: tuple[LearnedText, ...], instrument: Instrument) -> Iterator[str]:
     for label, track in runs.items():
         if name not in track.residuals or name not in track.vehicle.sensors or not track.residuals[name].used.any():
             continue
@@ -67,7 +67,7 @@ def _innovations(runs: Tracks, name: str, learnt: tuple[Learnt, ...], instrument
         yield instrument.figure(stack, f"{name}{many}: innovations, measured minus predicted, {_count(track, name)}.")
 
 
-def _marked(stack: Stack, track: Track, name: str, learnt: tuple[Learnt, ...]) -> Stack:
+def _marked(stack: Stack, track: Track, name: str, learnt: tuple[LearnedText, ...]) -> Stack:
     """With the outages of the sensor, and the adoptions of its models."""
     found: list[Mark] = outages(track, name) + adoptions(learnt, float(track.time_s[0]))
     return replace(stack, marks=tuple(found))

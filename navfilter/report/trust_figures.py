@@ -11,7 +11,7 @@ from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Line, Mark, Panel, Part, Stack, short
 from navfilter.track.track import Track
-from navfilter.track.trust import Spell, spells
+from navfilter.track.trust import DegradedInterval, spells
 
 __all__ = ["CAPTION", "spell_rows", "trust_figure"]
 
@@ -79,7 +79,7 @@ def _limits(lines: list[Part], least: float) -> tuple[float, float] | None:
     return max(0.7 * float(values.min()), SHOWN * float(np.median(values)), least), 1.5 * float(values.max())
 
 
-def _mark(spell: Spell) -> Mark:
+def _mark(spell: DegradedInterval) -> Mark:
     """A spell as a band; its reason appears below the pointer."""
     return Mark(spell.begin_s, spell.end_s, spell.level, short(str(spell), 80), HUES[spell.level])
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.filter.imu_intake import Intake
+from navfilter.filter.imu_intake import ImuIntake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
 from navfilter.models.alignment import align
 from navfilter.models.health import Health
@@ -266,7 +266,7 @@ class Session:
         self.nav = (LaneNavigator if self._lanes else Navigator)(self.vehicle, start)
         self._next_tick()
         first = next((r.time_s for r in self._buffer if r.sensor in self.vehicle.driving), start.time_s)
-        if abs(first - start.time_s) > Intake.LONGEST_S:
+        if abs(first - start.time_s) > ImuIntake.LONGEST_S:
             self._tell(
                 "warning", text=f"the start is at {start.time_s} s, the readings at {first} s: is it the same clock?"
             )

@@ -15,7 +15,7 @@ import scipy  # its parts are imported when they are first used: that takes a se
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.frozen import Typed
+from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.roots import is_stable, roots_of
 from navfilter.timeseries.stationary import observer, settled
 
@@ -73,7 +73,7 @@ def log_s0_sd(ar: ArrayLike, ma: ArrayLike, covariance: ArrayLike, window: float
 
 
 @dataclass(frozen=True, eq=False)
-class ArmaModel(Typed):
+class ArmaModel(FrozenDescription):
     """An ARMA model of a sampled series: a value that never changes.
 
     Parameters

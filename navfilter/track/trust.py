@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from navfilter.models.sensors import Sensor
     from navfilter.track.track import Track
 
-__all__ = ["Spell", "integrity_figures", "spells"]
+__all__ = ["DegradedInterval", "integrity_figures", "spells"]
 
 Mask = NDArray[np.bool_]
 #: Spells of one reason that are no farther apart than this are one [s].
@@ -28,7 +28,7 @@ TOGETHER_S = 2.0
 
 
 @dataclass(frozen=True)
-class Spell:
+class DegradedInterval:
     """A time in which something speaks against the state.
 
     Attributes
@@ -48,7 +48,7 @@ class Spell:
         return f"{self.begin_s:.0f} to {self.end_s:.0f} s: {self.level}, {self.reason}"
 
 
-def spells(track: Track) -> tuple[Spell, ...]:
+def spells(track: Track) -> tuple[DegradedInterval, ...]:
     """What speaks against a run at which times, by what became of its readings; the earliest first.
 
     Parameters
@@ -62,7 +62,7 @@ def spells(track: Track) -> tuple[Spell, ...]:
     for k, (begin_s, axis, condition) in enumerate(run.axes):
         if condition != "good":
             end_s = next(t for t, name, _ in ends[k + 1 :] if name in (axis, ""))
-            found.append(Spell(begin_s, max(end_s, begin_s), "degraded", f"{axis} is {condition}"))
+            found.append(DegradedInterval(begin_s, max(end_s, begin_s), "degraded", f"{axis} is {condition}"))
     return tuple(sorted(found, key=lambda spell: (spell.begin_s, spell.end_s)))
 
 
@@ -99,7 +99,7 @@ def integrity_figures(track: Track, truth: Stream | None) -> dict[str, Any] | No
     }
 
 
-def _length(track: Track, found: list[Spell]) -> float:
+def _length(track: Track, found: list[DegradedInterval]) -> float:
     """Time of a run in which there is any of these spells [s]."""
     within = np.zeros(len(track), bool)
     for spell in found:
@@ -107,14 +107,14 @@ def _length(track: Track, found: list[Spell]) -> float:
     return float(np.diff(track.time_s, append=track.time_s[-1])[within].sum())
 
 
-def _runs(run: Track, level: str, reason: str, rows: Mask) -> Iterator[Spell]:
+def _runs(run: Track, level: str, reason: str, rows: Mask) -> Iterator[DegradedInterval]:
     """The stretches of a mask over the rows of a track."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(int)))
-    last: Spell | None = None
+    last: DegradedInterval | None = None
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        spell = Spell(float(run.time_s[begin]), float(run.time_s[min(end, len(run) - 1)]), level, reason)
+        spell = DegradedInterval(float(run.time_s[begin]), float(run.time_s[min(end, len(run) - 1)]), level, reason)
         if last is not None and spell.begin_s - last.end_s <= TOGETHER_S:
-            spell = Spell(last.begin_s, spell.end_s, level, reason)
+            spell = DegradedInterval(last.begin_s, spell.end_s, level, reason)
         elif last is not None:
             yield last
         last = spell
@@ -141,8 +141,8 @@ def _reasons(run: Track) -> Iterator[tuple[str, str, Mask]]:
 
 
 def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Mask]]:
-    """The conditions of a sensor, each with the rows at which it is in it, as `navfilter.faults.sensor_monitor.Watch`
-    has them.
+    """The conditions of a sensor, each with the rows at which it is in it, as
+    `navfilter.faults.sensor_monitor.SensorMonitor` has them.
 
     That its value does not change shows as its readings being rejected.
     """

@@ -33,15 +33,15 @@ from numpy.typing import NDArray
 from navfilter.faults.clocks import sensor_clock
 from navfilter.faults.clocks.burst_stamps import Bursts, BurstsMemory
 from navfilter.faults.clocks.sensor_clock import Ahead
-from navfilter.filter.imu_intake import Intake
+from navfilter.filter.imu_intake import ImuIntake
 from navfilter.foundation.state_values import misfit
 
-__all__ = ["Arrived", "DriveClock", "DriveClockMemory"]
+__all__ = ["DriveClockMemory", "ImuClockMonitor", "ReceivedMeasurement"]
 
 Array = NDArray[np.float64]
 
 
-class Arrived(NamedTuple):
+class ReceivedMeasurement(NamedTuple):
     """A reading as it arrived, by its own stamp."""
 
     name: str
@@ -64,13 +64,13 @@ class DriveClockMemory:
         What is added to the stamps of the drive alone [s].
     held : ndarray, shape (k, 7)
         Samples that wait, by their stamps, moved as before.
-    readings : list of Arrived
+    readings : list of ReceivedMeasurement
         Readings that wait behind them.
     behind : list of int
         Behind how many of them each.
     alone, together : int
         Readings that were of the time before the leap, and of the time after it.
-    early : list of Arrived
+    early : list of ReceivedMeasurement
         Readings that wait for a drive that is late, or until it is told whose clock was set, in the order of their
         stamps.
     follows_s : float
@@ -88,11 +88,11 @@ class DriveClockMemory:
     heard_s: float = -math.inf
     offset_s: float = 0.0
     held: Array = field(default_factory=lambda: np.empty((0, 7)))
-    readings: list[Arrived] = field(default_factory=list)
+    readings: list[ReceivedMeasurement] = field(default_factory=list)
     behind: list[int] = field(default_factory=list)
     alone: int = 0
     together: int = 0
-    early: list[Arrived] = field(default_factory=list)
+    early: list[ReceivedMeasurement] = field(default_factory=list)
     follows_s: float = -math.inf
     late: int = 0
     ahead: dict[str, Ahead] = field(default_factory=dict)
@@ -100,7 +100,7 @@ class DriveClockMemory:
     bursts: BurstsMemory = field(default_factory=BurstsMemory)
 
 
-class DriveClock:
+class ImuClockMonitor:
     """Samples and readings in the order of their arrival, held back while the drive's clock is in doubt.
 
     Parameters
@@ -148,7 +148,7 @@ class DriveClock:
         counts = {"late": memory.late, "burst": memory.bursts.count, "moved": memory.moved}
         return {name: count for name, count in counts.items() if count}
 
-    def take(self, samples: Array) -> list[Array | Arrived]:
+    def take(self, samples: Array) -> list[Array | ReceivedMeasurement]:
         """What goes on now, when these samples have arrived; their first column is changed in place."""
         if not (self._live and len(samples)):
             return [samples]
@@ -158,7 +158,7 @@ class DriveClock:
         items = self._taken(samples)
         return list(self._met(items)) if self.memory.early else items
 
-    def _met(self, items: Iterable[Array | Arrived]) -> Iterator[Array | Arrived]:
+    def _met(self, items: Iterable[Array | ReceivedMeasurement]) -> Iterator[Array | ReceivedMeasurement]:
         """The same, and between them the readings that have waited for these samples."""
         early = self.memory.early
         for item in items:
@@ -170,7 +170,7 @@ class DriveClock:
                 item = item[here:]
             yield item
 
-    def _taken(self, samples: Array) -> list[Array | Arrived]:
+    def _taken(self, samples: Array) -> list[Array | ReceivedMeasurement]:
         memory = self.memory
         if len(samples) == 1 and not self.holds:
             stamp_s = samples.item(0) + memory.offset_s
@@ -204,7 +204,7 @@ class DriveClock:
                 return int(i)
         return len(stamps)
 
-    def _settled(self) -> list[Array | Arrived]:
+    def _settled(self) -> list[Array | ReceivedMeasurement]:
         """What the samples that wait say themselves: a wild stamp, or the end of patience."""
         memory, stamps = self.memory, self.memory.held[:, 0]
         back = stamps - memory.last_s
@@ -214,7 +214,7 @@ class DriveClock:
             return self._released()
         return self._told()
 
-    def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
+    def hear(self, reading: ReceivedMeasurement) -> list[Array | ReceivedMeasurement] | None:
         """What goes on now, when this reading has arrived: nothing where it waits; None for the reading itself."""
         told = self.memory.ahead.get(reading.name)
         known_s = max(self.memory.heard_s, self.memory.last_s)
@@ -232,7 +232,7 @@ class DriveClock:
             return heard
         return [*before, *([reading] if heard is None else heard)]
 
-    def _set_by(self, reading: Arrived) -> float:
+    def _set_by(self, reading: ReceivedMeasurement) -> float:
         """By how much the clock of its sensor was set [s]; 0: it was not."""
         memory = self.memory
         if not self._live or not abs(reading.time_s - memory.last_s) < self.WILD_S:
@@ -248,7 +248,7 @@ class DriveClock:
         told.waits = True
         return True
 
-    def _told_now(self, reading: Arrived, by_s: float) -> list[Arrived]:
+    def _told_now(self, reading: ReceivedMeasurement, by_s: float) -> list[ReceivedMeasurement]:
         """The readings that have waited until now: those of a clock that was set, by the time that they belong to, or,
         where others are ahead of the drive, too, as they are.
         """
@@ -263,7 +263,7 @@ class DriveClock:
         memory.early = [one for one in memory.early if one.name not in names]
         return [one._replace(time_s=one.time_s - by_s) for one in waited]
 
-    def _heard(self, reading: Arrived) -> list[Array | Arrived] | None:
+    def _heard(self, reading: ReceivedMeasurement) -> list[Array | ReceivedMeasurement] | None:
         memory = self.memory
         memory.heard_s = reading.time_s if math.isfinite(reading.time_s) else memory.heard_s
         if not self.holds:
@@ -293,7 +293,7 @@ class DriveClock:
         memory.heard_s = memory.follows_s = stamp_s
         return True
 
-    def _waited(self, reading: Arrived) -> list[Array | Arrived] | None:
+    def _waited(self, reading: ReceivedMeasurement) -> list[Array | ReceivedMeasurement] | None:
         """What goes on now, when this reading has arrived and no samples wait: see `hear`."""
         memory = self.memory
         ahead_s = reading.time_s - memory.last_s
@@ -306,14 +306,14 @@ class DriveClock:
         if ahead_s <= self._ahead_s or not follows:
             return None
         memory.follows_s = max(memory.follows_s, reading.time_s)
-        if memory.follows_s - memory.last_s < Intake.SILENT_S:
+        if memory.follows_s - memory.last_s < ImuIntake.SILENT_S:
             insort(memory.early, reading, key=lambda one: one.time_s)
             return []
         # the drive is silent
         released, memory.early = memory.early, []
         return [*released, reading] if released else None
 
-    def _told(self) -> list[Array | Arrived]:
+    def _told(self) -> list[Array | ReceivedMeasurement]:
         """What readings have told of the samples that wait; nothing of a single one, whose stamp may be wild."""
         memory = self.memory
         if len(memory.held) < self.SAMPLES or max(memory.alone, memory.together) < self.VOTES:
@@ -324,10 +324,10 @@ class DriveClock:
             memory.offset_s += moved
         return self._released()
 
-    def _released(self) -> list[Array | Arrived]:
+    def _released(self) -> list[Array | ReceivedMeasurement]:
         """All that waits, in the order of its arrival."""
         memory, at = self.memory, 0
-        result: list[Array | Arrived] = []
+        result: list[Array | ReceivedMeasurement] = []
         for reading, behind in zip(memory.readings, memory.behind, strict=True):
             if behind > at:
                 result.append(memory.held[at:behind])
@@ -356,7 +356,7 @@ class DriveClock:
         numbers = (*times, float(memory.late), float(memory.moved))
         if rows != (7,) or not all(isinstance(x, float) for x in numbers) or not math.isfinite(memory.offset_s):
             raise ValueError("what is kept of the drive's clock has another form")
-        if not all(isinstance(reading, Arrived) for reading in [*memory.readings, *memory.early]):
+        if not all(isinstance(reading, ReceivedMeasurement) for reading in [*memory.readings, *memory.early]):
             raise ValueError("what waits for the drive's clock are no readings")
         places = [0, *memory.behind, len(memory.held)]
         if len(memory.behind) != len(memory.readings) or any(np.diff(places) < 0):
@@ -364,10 +364,10 @@ class DriveClock:
         self._bursts.go_on(memory.bursts)
         self.memory = memory
 
-    def rest(self) -> Iterable[Array | Arrived]:
+    def rest(self) -> Iterable[Array | ReceivedMeasurement]:
         """What still waits when no more comes, as it is."""
         first = self._bursts.rest()
-        items: list[Array | Arrived] = self._taken(first) if len(first) else []
+        items: list[Array | ReceivedMeasurement] = self._taken(first) if len(first) else []
         items += self._released() if self.holds else []
         items = list(self._met(items))
         items += self.memory.early

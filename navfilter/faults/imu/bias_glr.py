@@ -1,7 +1,7 @@
 """Jumps of the inertial unit's biases, told from the innovations of all sensors, and what follows for the filter.
 
 What no sample shows by itself (an accelerometer that is off by 50 mg, a gyro with another sign) contradicts compass and
-DVL. `JumpWatch` holds one hypothesis for each axis of the drive and of each sensor, that its error has jumped, and
+DVL. `BiasJumpGlr` holds one hypothesis for each axis of the drive and of each sensor, that its error has jumped, and
 forms their likelihood ratios by the kernel `navfilter.kernels.bias_glr.hear_jumps`. Where one of the drive explains the
 innovations, and no sensor's does as well, the inertial unit is left out for a while, and then used again with its
 biases open: a new bias is learnt within seconds. If it is no bias, it is left out again, for longer.
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.actions import Action, Inflate
-from navfilter.filter.events import Correction, Event, Propagated, Relaid
+from navfilter.filter.events import Correction, Event, Propagated, StateTransformed
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
@@ -25,7 +25,7 @@ from navfilter.kernels import strapdown
 from navfilter.kernels.bias_glr import AXES, carry_jumps, hear_jumps
 from navfilter.models.mechanisation import Mechanisation
 
-__all__ = ["JumpWatch"]
+__all__ = ["BiasJumpGlr"]
 
 Array = NDArray[np.float64]
 #: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often [s]:
@@ -51,7 +51,7 @@ HEARD_S = 3.0
 REJECTED_S = 1.0
 
 
-class JumpWatch:
+class BiasJumpGlr:
     """Knows which row of a bank is which; all that it remembers stands in `FilterMemory.jumps` and ``watch``.
 
     Parameters
@@ -120,7 +120,7 @@ class JumpWatch:
         elif isinstance(event, Propagated):
             for bank in memory.monitor.bias_glr:
                 carry_jumps(bank, event.transition)
-        elif isinstance(event, Relaid):
+        elif isinstance(event, StateTransformed):
             memory.monitor.bias_glr = self.fresh(filter.layout, filter.channels, memory.time_s)
 
     def _judge(self, filter: FilterState) -> Iterator[Action]:

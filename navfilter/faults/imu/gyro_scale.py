@@ -23,7 +23,7 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
 
-__all__ = ["Turns", "agrees", "contradicted", "look", "refused"]
+__all__ = ["GyroScaleTest", "agrees", "contradicted", "look", "refused"]
 
 Array = NDArray[np.float64]
 #: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s].
@@ -53,7 +53,7 @@ KNOWN, CLOSE = 0.1, 0.25
 
 
 @dataclass(frozen=True)
-class Turns:
+class GyroScaleTest:
     """What a compass said of the gyros when it was refused, or since one was left out.
 
     Attributes
@@ -91,7 +91,7 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
         Of the reading, slow error and all [rad].
     """
     memory, kept, w = filter.memory, channel.faults, filter.memory.monitor.imu
-    before = kept.turns or Turns()
+    before = kept.turns or GyroScaleTest()
     if (
         time_s - before.time_s < STEP_S
         or not filter.monitor.imu_monitor.active
@@ -139,7 +139,7 @@ def contradicted(steps: tuple[tuple[float, ...], ...]) -> float | None:
     Parameters
     ----------
     steps : tuple of tuple of float
-        See `Turns`.
+        See `GyroScaleTest`.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def _heading(nav: Array) -> float:
     return math.atan2(nav[9], nav[6])
 
 
-def _stepped(before: Turns, time_s: float, heading: float, w: Array, noise: float) -> Turns:
+def _stepped(before: GyroScaleTest, time_s: float, heading: float, w: Array, noise: float) -> GyroScaleTest:
     """With one more look."""
     turned, off = float(w[kernel.UNIT, kernel.TURNED]), math.remainder(heading - before.heading, 2.0 * math.pi)
     steps = tuple(step for step in before.steps if time_s - step[0] < OLDEST_S)

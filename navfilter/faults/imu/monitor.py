@@ -23,7 +23,7 @@ from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.mechanisation import Mechanisation
 
-__all__ = ["CONDITIONS", "COUNTED", "USED", "DriveWatch"]
+__all__ = ["CONDITIONS", "COUNTED", "USED", "ImuMonitor"]
 
 Array = NDArray[np.float64]
 #: In words, by the kernel's codes.
@@ -50,7 +50,7 @@ TURN_S = 3.0
 RANGE_END = 0.999
 
 
-class DriveWatch:
+class ImuMonitor:
     """Knows an inertial unit's description; all that it remembers stands in `FilterMemory.watch`.
 
     Parameters

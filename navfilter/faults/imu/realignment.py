@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from navfilter.faults import ground_velocity
 from navfilter.faults.alternative_path import believable, follows, full_residual, most_speed, moved
 from navfilter.filter.actions import Action, Announce, Count, MovePosition, RestartRest, Reweigh, Transform
-from navfilter.filter.events import StoodIn
+from navfilter.filter.events import SamplesReplaced
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
@@ -45,7 +45,7 @@ REFUSED_S = 1.0
 HEARD_S, VELOCITY_SD = 1.0, 0.1
 
 
-class Level(NamedTuple):
+class AccelerometerLevel(NamedTuple):
     """Where down is.
 
     Attributes
@@ -82,7 +82,7 @@ def after_fault(filter: FilterState) -> Iterator[Action]:
     level = _level(filter)
     if level is not None and level.knows_better:
         yield from set_anew(filter)
-    yield Announce(StoodIn(filter.monitor.imu_monitor.stood_in_s(filter.memory.monitor.imu)))
+    yield Announce(SamplesReplaced(filter.monitor.imu_monitor.stood_in_s(filter.memory.monitor.imu)))
 
 
 def tilted(filter: FilterState, channel: Channel, time_s: float) -> bool:
@@ -177,7 +177,7 @@ def _bound(filter: FilterState) -> Iterator[Action]:
         M = np.eye(len(memory.P))
         M[range(6), range(6)] = shrink
         yield Transform(state.velocity_n, state.C_nb, M, np.zeros_like(M))
-    yield Announce(StoodIn(seconds))
+    yield Announce(SamplesReplaced(seconds))
 
 
 def _tells_tilt(channel: Channel, now_s: float) -> bool:
@@ -186,7 +186,7 @@ def _tells_tilt(channel: Channel, now_s: float) -> bool:
     return instrument and memory.agrees and now_s - channel.memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
 
 
-def _level(filter: FilterState) -> Level | None:
+def _level(filter: FilterState) -> AccelerometerLevel | None:
     """What the accelerometers show; None where they are not used, or feel more than gravity, and while an instrument
     that tells the tilt itself is used.
     """
@@ -216,7 +216,7 @@ def _level(filter: FilterState) -> Level | None:
     assert state.covariance is not None
     tilt = state.covariance[6:8, 6:8]
     doubt = float(turn[:2] @ np.linalg.solve(tilt + variance * np.eye(2), turn[:2]))
-    return Level(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
+    return AccelerometerLevel(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
 
 
 def _refused_velocity(filter: FilterState) -> tuple[Array, Channel] | None:

@@ -29,7 +29,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from navfilter.faults.sensor_monitor import Watch
+from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation import utc
 from navfilter.io.tracks.atomic_files import pieces, replacing_tree
@@ -206,7 +206,7 @@ def _nis(track: Track, residuals: Residuals) -> Iterator[tuple[int, Any]]:
 
 def _diagnostics(track: Track) -> Iterator[tuple[int, Any]]:
     """Once a second what a live run would have said of its sensors (whether one is stuck is not in a track)."""
-    watches = {name: Watch.of(track.vehicle.sensors[name]) for name in track.residuals}
+    watches = {name: SensorMonitor.of(track.vehicle.sensors[name]) for name in track.residuals}
     heard = {name: _heard(residuals) for name, residuals in track.residuals.items()}
     coming = {name: next(readings, None) for name, readings in heard.items()}
     for now_s in np.arange(np.ceil(track.time_s[0]), track.time_s[-1] + 1e-9, 1.0).tolist():

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.foundation.frozen import Typed
+from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.models.learned_arma import learning_part
@@ -87,7 +87,7 @@ class DeadReckoning(Mechanisation):
     moved: ClassVar[Callable[..., None]] = staticmethod(delayed_state.reckoned_motion)
 
     def __post_init__(self) -> None:
-        Typed.__post_init__(self)  # what follows asks for its parts, before their models are asked for
+        FrozenDescription.__post_init__(self)  # what follows asks for its parts, before their models are asked for
         if self.compass is not None and self.compass.gives != "heading":
             raise ValueError(
                 f"DeadReckoning.attitude must be a Heading or error models, found a {type(self.attitude).__name__}."

@@ -13,13 +13,13 @@ from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.mechanisation.imu import Imu
 from navfilter.models.sensors.traits import Doubt
 
-__all__ = ["Coasting"]
+__all__ = ["DeadReckoningLane"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coasting(Imu):
+class DeadReckoningLane(Imu):
     """An inertial unit that reads nothing: the dead-reckoning lane of a vehicle.
 
     All its axes are left out from the start, as the watch over the drive leaves out one that is dead

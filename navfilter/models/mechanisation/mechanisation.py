@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.foundation.frozen import Typed
+from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import Stream
@@ -75,7 +75,7 @@ class Triple(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mechanisation(Typed):
+class Mechanisation(FrozenDescription):
     """What both drives share: six channels whose errors enter the propagation.
 
     Parameters
@@ -96,7 +96,7 @@ class Mechanisation(Typed):
         The channels are three rates and three forces: what the vehicle does between two samples is felt, rest can be
         told.
     feels : bool
-        Its samples say something; those of `Coasting` do not.
+        Its samples say something; those of `DeadReckoningLane` do not.
     gravity : float
         What a tilt turns into acceleration [m/s^2]; 0 where the velocity is no integral.
     triples : (2,) str

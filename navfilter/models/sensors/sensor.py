@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.foundation.frozen import Typed
+from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
 from navfilter.models.error_models import ErrorModel, White, per_axis
 from navfilter.models.learned_arma import resolve_prior
@@ -38,7 +38,7 @@ LARGEST = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor(Typed):
+class Sensor(FrozenDescription):
     """What all correcting sensors share.
 
     Parameters

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults.clocks.imu_clock import Arrived, DriveClock
-from navfilter.faults.lane_selection import Choice, ChoiceMemory
+from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
+from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import samples_of
 from navfilter.foundation.arguments import needs
@@ -33,7 +33,7 @@ from navfilter.navigation.history import History
 from navfilter.navigation.lanes.state_transfer import Transplant, transplant
 from navfilter.navigation.memory import MEMORY, LaneMemory, LanesMemory
 from navfilter.navigation.navigator import Navigator
-from navfilter.navigation.status import Running, health_of
+from navfilter.navigation.status import NavigatorStatus, health_of
 
 __all__ = ["LaneNavigator", "begin_anew", "choice_of"]
 
@@ -42,11 +42,11 @@ Array = NDArray[np.float64]
 AHEAD_S = 1.0
 
 
-def choice_of(vehicle: Vehicle, start_s: float) -> Choice:
+def choice_of(vehicle: Vehicle, start_s: float) -> LaneChoice:
     """The choice among the lanes of a vehicle; readings that wait, and those of a drive, have no part in it."""
     sensors = {name: sensor for name, sensor in vehicle.sensors.items() if not sensor.lead_s}
     force_sd = max(unit.gap_force_sd for unit in vehicle.units.values())
-    return Choice([name != DEAD_RECKONING for name in vehicle.lanes()], sensors, start_s, force_sd)
+    return LaneChoice([name != DEAD_RECKONING for name in vehicle.lanes()], sensors, start_s, force_sd)
 
 
 def begin_anew(nav: Navigator, source: Navigator) -> Transplant:
@@ -60,7 +60,7 @@ def begin_anew(nav: Navigator, source: Navigator) -> Transplant:
     return new
 
 
-class LaneNavigator(Running):
+class LaneNavigator(NavigatorStatus):
     """A navigator for a vehicle with lanes: what `Navigator` is for one with a single drive, with the same methods.
 
     Parameters
@@ -74,7 +74,7 @@ class LaneNavigator(Running):
     Attributes
     ----------
     lanes : dict of str to Navigator
-    choice : Choice
+    choice : LaneChoice
 
     Raises
     ------
@@ -111,11 +111,11 @@ class LaneNavigator(Running):
         self.lanes = {name: Navigator(lane, start, history_s=0.0, threads=False) for name, lane in described.items()}
         for run in self.lanes.values():
             # a unit whose clock goes wrong is left for another
-            run.clock = DriveClock(run.vehicle.drive.period_s, live=False)
+            run.clock = ImuClockMonitor(run.vehicle.drive.period_s, live=False)
         self.choice = choice_of(vehicle, start.time_s)
         # where there is no other unit, its clock is held against that of the readings; a late one is not waited for
         period_s = next(iter(vehicle.units.values())).period_s
-        self.clock = DriveClock(period_s, live=len(vehicle.units) == 1)
+        self.clock = ImuClockMonitor(period_s, live=len(vehicle.units) == 1)
         self._names, self._runs = tuple(self.lanes), tuple(self.lanes.values())
         self._units = {name: i for i, name in enumerate(vehicle.units)}
         self._coasting = self.lanes.get(DEAD_RECKONING)
@@ -162,8 +162,8 @@ class LaneNavigator(Running):
         for item in self.clock.take(samples[:, :7].copy()):
             self._go_on(item)
 
-    def _go_on(self, item: Array | Arrived) -> Outcome | None:
-        if isinstance(item, Arrived):
+    def _go_on(self, item: Array | ReceivedMeasurement) -> Outcome | None:
+        if isinstance(item, ReceivedMeasurement):
             return self._place(item)
         self._pass_on(np.column_stack([item, np.zeros(len(item))]))
         return None
@@ -186,11 +186,11 @@ class LaneNavigator(Running):
             z, stamp_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, stamp_s = np.full(1, np.nan), math.nan
-        if (held := self.clock.hear(arrived := Arrived(name, stamp_s, z, sd))) is not None:
+        if (held := self.clock.hear(arrived := ReceivedMeasurement(name, stamp_s, z, sd))) is not None:
             return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
         return self._place(arrived)
 
-    def _place(self, arrived: Arrived) -> Outcome:
+    def _place(self, arrived: ReceivedMeasurement) -> Outcome:
         name, stamp_s, z, sd = arrived
         taken_s = stamp_s + self.offset_s - self.vehicle.sensors[name].time_offset_s
         # the stamp goes along: every lane has a clock of its own
@@ -410,13 +410,13 @@ class LaneNavigator(Running):
         for lane in memory.lanes.values():
             lane.run = lane.run.whole()
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = snapshots.Saved(self.start, length_s, memory, inputs, {}, self.clock.memory, [])
+        saved = snapshots.SnapshotContent(self.start, length_s, memory, inputs, {}, self.clock.memory, [])
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
     def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> LaneNavigator:
         """Go on from a snapshot, see `Navigator.restore`."""
-        saved = snapshots.read(vehicle, source, (*MEMORY, LanesMemory, LaneMemory, ChoiceMemory))
+        saved = snapshots.read(vehicle, source, (*MEMORY, LanesMemory, LaneMemory, LaneChoiceMemory))
         try:
             return cls._revived(vehicle, saved)
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults.imu.monitor import USED
-from navfilter.faults.lane_selection import HISTORY, Choice
+from navfilter.faults.lane_selection import HISTORY, LaneChoice
 from navfilter.filter.records import Tape
 from navfilter.models.health import LaneHistory
 from navfilter.models.lane_clock import edge_after
@@ -88,7 +88,7 @@ class LaneReplay:
         missions = {name: lane_mission(vehicle, mission, name, start) for name in described}
         if not any(len(missions[name].streams["imu"]) for name in described):
             raise ValueError(f"none of the inertial units ({', '.join(vehicle.units)}) has a single sample.")
-        self.choice: Choice = choice_of(vehicle, start.time_s)
+        self.choice: LaneChoice = choice_of(vehicle, start.time_s)
         self.lanes = [
             _Lane(name, lane, missions[name], start, Tape(output_rate_hz, smoothable=smooth))
             for name, lane in described.items()
