@@ -32,7 +32,7 @@ class Changing(Capture):
 
     def __init__(self, monkeypatch, vehicle, start):
         super().__init__(monkeypatch, vehicle, start)
-        follow, self.sizes = Filter._change, []
+        follow, self.sizes = Filter._transform, []
 
         def change(filter, M, N):
             assert not self._single  # what was not yet folded would belong before the change

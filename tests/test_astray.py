@@ -96,7 +96,7 @@ def test_fixes_and_dvl_together_outvote_a_compass_that_is_off_from_the_start(off
 
     assert told(0.0) == variance
     assert told(1e3) == pytest.approx(2.0 * noise / 1e6, rel=0.01)
-    watch = nav.watches["gps"]
+    watch = nav.sensor_monitors["gps"]
     bound, own = (
         3.2905 * math.sqrt(told_by_fixes(compass, state, *watch.place)),
         3.2905 * nav.state.sd[8],

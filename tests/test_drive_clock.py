@@ -50,7 +50,7 @@ def test_a_clock_that_was_set_alone_costs_nothing(dive, by_s):
     assert nav.counts["gap"] == nav.counts["backward"] == nav.counts["clock-set"] == 0
     # those that come between two samples
     assert sum(outcome.status == "waiting" for outcome in outcomes) <= len(vehicle.sensors)
-    assert sum(watch.outcomes["used"] for watch in nav.watches.values()) == sum(
+    assert sum(watch.outcomes["used"] for watch in nav.sensor_monitors.values()) == sum(
         watch.outcomes["used"] for watch in best.watches.values()
     )
 
@@ -147,9 +147,9 @@ def test_what_waits_is_in_a_snapshot(dive):
 def test_without_an_answer_samples_go_on_as_they_are():
     clock = ImuClockMonitor(0.01, live=True)
     row = lambda t: np.array([[t, *np.zeros(6)]])  # noqa: E731
-    assert len(clock.take(row(1.0))) == 1
-    assert clock.hear(ReceivedMeasurement("compass", 1.0, 0.0, None)) is None
-    passed = [clock.take(row(3.0 + 0.01 * k)) for k in range(120)]
+    assert len(clock.check_samples(row(1.0))) == 1
+    assert clock.check_reading(ReceivedMeasurement("compass", 1.0, 0.0, None)) is None
+    passed = [clock.check_samples(row(3.0 + 0.01 * k)) for k in range(120)]
     assert not clock.holds and sum(len(part) for items in passed for part in items) == 120
     assert sum(not items for items in passed) == 101  # those of a second, and the first of them
     assert clock.memory.offset_s == 0.0
@@ -303,10 +303,10 @@ def test_nothing_waits_for_a_drive_that_falls_silent_beside_a_single_sensor(rate
     row = lambda t: np.array([[t, *np.zeros(6)]])  # noqa: E731
     held = []
     for k in range(1, 3 * round(rate_hz)):
-        clock.take(np.vstack([row(k / rate_hz - 0.01 * j) for j in range(round(100 / rate_hz) - 1, -1, -1)]))
-        assert clock.hear(ReceivedMeasurement("dvl", k / rate_hz, 0.0, None)) is None
+        clock.check_samples(np.vstack([row(k / rate_hz - 0.01 * j) for j in range(round(100 / rate_hz) - 1, -1, -1)]))
+        assert clock.check_reading(ReceivedMeasurement("dvl", k / rate_hz, 0.0, None)) is None
     for k in range(3 * round(rate_hz), 12 * round(rate_hz)):
-        went = clock.hear(ReceivedMeasurement("dvl", k / rate_hz, 0.0, None))
+        went = clock.check_reading(ReceivedMeasurement("dvl", k / rate_hz, 0.0, None))
         held.append(len(clock.memory.early))
         assert went is None or held[-1] or went[-1].time_s == k / rate_hz
     assert held[0] <= 1 and held[-1] == 0
@@ -315,10 +315,10 @@ def test_nothing_waits_for_a_drive_that_falls_silent_beside_a_single_sensor(rate
 def test_readings_that_wait_for_their_clock_go_on_where_all_are_ahead():
     """Then it is the drive's: nothing is kept, and nothing moved."""
     clock = ImuClockMonitor(0.01, live=True, ahead_s=5.0)
-    clock.take(np.array([[t, *np.zeros(6)] for t in np.arange(0.0, 2.0, 0.01)]))
+    clock.check_samples(np.array([[t, *np.zeros(6)] for t in np.arange(0.0, 2.0, 0.01)]))
     for name in ("compass", "dvl"):
-        assert clock.hear(ReceivedMeasurement(name, 1.99, 0.0, None)) is None
-    assert clock.hear(ReceivedMeasurement("dvl", 3.0, 0.0, None)) == []
-    went = clock.hear(ReceivedMeasurement("compass", 3.1, 0.0, None))
+        assert clock.check_reading(ReceivedMeasurement(name, 1.99, 0.0, None)) is None
+    assert clock.check_reading(ReceivedMeasurement("dvl", 3.0, 0.0, None)) == []
+    went = clock.check_reading(ReceivedMeasurement("compass", 3.1, 0.0, None))
     assert [(one.name, one.time_s) for one in went] == [("dvl", 3.0), ("compass", 3.1)]
     assert not clock.memory.early

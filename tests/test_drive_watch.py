@@ -32,13 +32,13 @@ def quiet(drive, seconds, seed=1, step=None):
 def watched(drive, samples, w=None):
     """Times [s] at which conditions changed, and what they changed to."""
     watch = ImuMonitor(drive)
-    w = watch.fresh() if w is None else w
+    w = watch.initial_memory() if w is None else w
     nav = nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack()
     watch.refer(w, nav, np.zeros((9, 9)))
     sd = np.sqrt([model.block(drive.period_s).r for model in drive.models])
     found, at, before = [], 0, watch.conditions(w)
     while at < len(samples):
-        at += watch.look(samples[at:], w, sd)
+        at += watch.check_samples(samples[at:], w, sd)
         if w[kernel.UNIT, kernel.TICK] * drive.period_s >= kernel.JUDGED_S:
             w[kernel.UNIT, kernel.TICK] = 0.0
             watch.refer(w, nav, np.zeros((9, 9)))
@@ -193,11 +193,11 @@ def test_of_a_unit_without_any_error_described_noise_and_spikes_are_not_judged()
     samples = quiet(drive, 30.0)
     samples[:1200, 1:] = LEVEL
     samples[2000, 3] += 2.0
-    watch, w = ImuMonitor(drive), ImuMonitor(drive).fresh()
+    watch, w = ImuMonitor(drive), ImuMonitor(drive).initial_memory()
     watch.refer(w, nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack(), np.zeros((9, 9)))
     at = 0
     while at < len(samples):
-        at += watch.look(samples[at:], w, np.zeros(6))
+        at += watch.check_samples(samples[at:], w, np.zeros(6))
         w[kernel.UNIT, kernel.TICK] = 0.0
     assert not w[:6, [kernel.SPIKES, kernel.CODE]].any()
 
@@ -208,7 +208,7 @@ def test_of_a_unit_without_any_error_described_noise_and_spikes_are_not_judged()
 def test_the_kernel_and_its_twin(seed, increments, described):
     rng = np.random.default_rng(seed)
     drive = tactical_imu(increments=increments)
-    w = ImuMonitor(drive).fresh()
+    w = ImuMonitor(drive).initial_memory()
     ImuMonitor(drive).refer(w, random_nav(rng), np.zeros((9, 9)))
     twin, sd = w.copy(), np.sqrt([model.block(drive.period_s).r for model in drive.models]) * described
     samples = quiet(drive, 30.0, seed, 0.7 if seed % 2 else None)

@@ -157,8 +157,8 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     feeding.one_by_one(nav, feeding.events_of(vehicle, mission))
     nav.finish()
     same_runs.assert_same_bits(nav, end_state)
-    assert {n: w.health(nav.time_s) for n, w in nav.watches.items()} == {
-        n: w.health(nav.time_s) for n, w in end_state.watches.items()
+    assert {n: w.health(nav.time_s) for n, w in nav.sensor_monitors.items()} == {
+        n: w.health(nav.time_s) for n, w in end_state.sensor_monitors.items()
     }
 
 

@@ -27,14 +27,14 @@ def checked(vehicle):
 def heard(vehicle, mission, until_s, look):
     """A navigator fed until a time, and what `look` makes of each correction's channel."""
     nav, seen = nf.Navigator(vehicle, mission.start, history_s=0.0), []
-    told = nav.told
+    told = nav.on_event
 
     def tell(event, value=None):
         if isinstance(event, Correction) and event.channel is not None:
             seen.append(look(nav, event.channel))
         told(event, value)
 
-    nav.told = tell
+    nav.on_event = tell
     feed(nav, mission, until_s)
     return nav, seen
 

@@ -103,7 +103,7 @@ def choice_with(gains, seconds=5.0):
         for lane, errors in enumerate(gains):
             for sensor, (error, wider) in enumerate(errors):
                 sd = (0.01, 0.1)[sensor] * wider
-                choice.hear(lane, sensor, second * STEP_S, [error * sd], [sd**2])
+                choice.compare(lane, sensor, second * STEP_S, [error * sd], [sd**2])
     choice.decide_until(seconds)
     return choice
 
@@ -134,7 +134,7 @@ def test_an_outlier_that_nobody_foretold_counts_for_nobody():
     choice = choice_with([[(0.0, 1.0)] * 2] * 3)
     before = choice.memory.gathered.copy()
     for lane in range(3):
-        choice.hear(lane, 0, 5.0, [1e6], [1e-4 * (lane + 1)])
+        choice.compare(lane, 0, 5.0, [1e6], [1e-4 * (lane + 1)])
     assert np.abs((choice.memory.gathered - before)[:, :, 0]).max() < 1e-9
 
 
@@ -142,9 +142,9 @@ def test_a_lane_that_says_nothing_is_short_of_all_that_was_foretold():
     sensors = {"depth": nf.Depth(error=nf.White(sd=0.1))}
     choice = LaneChoice([True, True], sensors, 0.0)
     for k in range(round(2.0 * MARGIN / FULL)):
-        choice.hear(1, 0, k * STEP_S, [0.0], [0.01])
+        choice.compare(1, 0, k * STEP_S, [0.0], [0.01])
         choice.decide_until((k + 1.5) * STEP_S)
-    assert choice.memory.lane == 1 and choice.to_begin_anew() == [0]
+    assert choice.memory.lane == 1 and choice.due_restarts() == [0]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -162,9 +162,9 @@ def test_looking_at_the_parts_of_the_minute_only_where_it_matters_changes_nothin
             for lane in range(3):
                 for sensor, sd in enumerate((0.01, 0.1)):
                     error = rng.normal() * sd * (4.0 if lane == bad else 1.0)
-                    choice.hear(lane, sensor, k * STEP_S, [error], [(sd * (3.0 if lane == 2 else 1.0)) ** 2])
-            for lane in choice.to_begin_anew() if k % 100 == 99 else []:
-                choice.begun_anew(lane)
+                    choice.compare(lane, sensor, k * STEP_S, [error], [(sd * (3.0 if lane == 2 else 1.0)) ** 2])
+            for lane in choice.due_restarts() if k % 100 == 99 else []:
+                choice.on_restart(lane)
         found.append(changes)
     assert found[0] == found[1] and len(found[0]) > 1
 
@@ -181,8 +181,8 @@ def followed(off, seconds=20.0, own=None):
     for k in range(round(seconds * RATE_HZ)):
         time_s = k / RATE_HZ
         changes += choice.decide_until(time_s)
-        choice.hear(0, 0, time_s, off(time_s).tolist(), [SD**2] * 3)
-        choice.hear(1, 0, time_s, np.zeros(3) if own is None else own(time_s), [0.8**2] * 3)
+        choice.compare(0, 0, time_s, off(time_s).tolist(), [SD**2] * 3)
+        choice.compare(1, 0, time_s, np.zeros(3) if own is None else own(time_s), [0.8**2] * 3)
     return changes
 
 

@@ -33,7 +33,7 @@ def heard(gains, carried, seconds=20.0):
         for lane, told in enumerate(gains):
             for sensor, (error, wider) in enumerate(told):
                 sd = (0.01, 0.1)[sensor] * wider
-                choice.hear(lane, sensor, k * STEP_S, [error * sd], [sd**2], carried[lane])
+                choice.compare(lane, sensor, k * STEP_S, [error * sd], [sd**2], carried[lane])
     choice.decide_until(seconds)
     return choice
 

@@ -151,7 +151,7 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
     assert_same(together, alone)
     assert_same(together.forward, alone.forward)
     assert differences(nav.memory, other.memory) == []
-    assert differences(nav.watches, other.watches) == []
+    assert differences(nav.sensor_monitors, other.sensor_monitors) == []
     assert bool(nav.learning.memory.listeners["compass"].since) == defects
 
 

@@ -510,12 +510,12 @@ def test_a_snapshot_has_what_has_waited_and_what_still_does():
         if time_s > 10.0 and k % 23 == 0:
             again = nf.Navigator.restore(vehicle, nav.snapshot())
             assert differences(again.memory.filter, nav.memory.filter) == []
-            assert differences(again.waiting.readings, nav.waiting.readings) == []
+            assert differences(again.queue.readings, nav.queue.readings) == []
             assert again.health.sensors == nav.health.sensors
-            seen.add(len(nav.waiting.readings))
+            seen.add(len(nav.queue.readings))
     assert max(seen) > 0
     good = nav.snapshot()
-    nav.waiting.put(Measurement("sonar", 20.0, np.zeros(1), None))
+    nav.queue.put(Measurement("sonar", 20.0, np.zeros(1), None))
     with pytest.raises(ValueError, match="cannot be read"):
         nf.Navigator.restore(vehicle, nav.snapshot())
     nf.Navigator.restore(vehicle, good)

@@ -85,11 +85,11 @@ def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
         noted[change[0]] = change[1]
         other.channels["dvl"].scatter = NoiseScale(noted)
         with pytest.raises(ValueError, match="the noise of dvl"):
-            nav.filter.recall(other)
+            nav.filter.restore(other)
     other = copied(memory)
     other.channels["dvl"].scatter = NoiseScale(memory.channels["dvl"].scatter.noted[:-1])
     with pytest.raises(ValueError, match="the noise of dvl"):
-        nav.filter.recall(other)
+        nav.filter.restore(other)
 
 
 def test_a_velocity_in_another_unit_for_a_minute_is_as_good_as_none():

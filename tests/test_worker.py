@@ -187,7 +187,7 @@ def test_what_a_run_has_left_is_freed_though_sensors_have_not_spoken_since(missi
     fed(nav, events[:number])
     assert nav.learning.again is not None
     left = [weakref.ref(array) for array in (nav.filter.bench, nav.filter.memory.P, nav.filter.memory.nav)]
-    nav.history.begin()  # checkpoints hold copies
+    nav.history.start_here()  # checkpoints hold copies
     fed(nav, [event for event in events[number : number + 40] if event.sensor in (DRIVE, "compass")])
     assert nav.learning.again is None and len(nav.vehicle.sensors) > 1
     nav.learning.worker.begin(lambda: None).result()

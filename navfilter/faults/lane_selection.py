@@ -171,7 +171,7 @@ class LaneChoice:
         told = [f"{self.names[i]} by {gain[i]:.0f} nat" for i in np.argsort(-gain).tolist() if gain[i] >= 1.0]
         return f"it foretold better: {', '.join(told)}" if told else ""
 
-    def hear(
+    def compare(
         self,
         lane: int,
         sensor: int,
@@ -316,11 +316,11 @@ class LaneChoice:
         own = np.where(whole[:, JUDGED] > 0.0, whole[:, JUDGED], math.nan)
         return whole[:, GAIN] / (most if most else math.nan), whole[:, NIS] / own
 
-    def to_begin_anew(self) -> list[int]:
+    def due_restarts(self) -> list[int]:
         """Lanes that are doubted, and not in force."""
         return [lane for lane in np.flatnonzero(self.memory.doubted).tolist() if lane != self.memory.lane]
 
-    def begun_anew(self, lane: int) -> None:
+    def on_restart(self, lane: int) -> None:
         """A lane has been begun anew from the one in force: it has the same past."""
         memory = self.memory
         memory.ring[:, lane], memory.gathered[lane] = memory.ring[:, memory.lane], memory.gathered[memory.lane]

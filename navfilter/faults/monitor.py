@@ -63,14 +63,14 @@ class FaultMonitor:
         self.is_tilted = False
         self._gyros: tuple[Group | None, Array] = (None, np.zeros((3, 0)))
 
-    def fresh(self, filter: FilterState, memory: FilterMemory) -> MonitorMemory:
+    def initial_memory(self, filter: FilterState, memory: FilterMemory) -> MonitorMemory:
         """Its memory before the first input."""
-        imu = self.imu_monitor.fresh()
+        imu = self.imu_monitor.initial_memory()
         self.imu_monitor.refer(imu, memory.nav, memory.P)  # what is unknown weighs by it
         channels = {name: SensorFaults() for name in filter.channels}
         return MonitorMemory(imu, self.glr.fresh(filter.layout, filter.channels, memory.time_s), channels)
 
-    def recall(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> None:
+    def restore(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> None:
         """Let every channel have what is remembered of its sensor."""
         for name, channel in channels.items():
             channel.faults = memory.channels[name]
@@ -125,7 +125,7 @@ class FaultMonitor:
         moved = STILL_SDS * math.sqrt(max(channel.white[0, 0], channel.white[1, 1]))
         return bool(slow * (time_s - kept.same_s) > moved)
 
-    def judged(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
+    def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
         """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
         (nis, dof, used), let_in = channel.verdict.tolist(), False
         described = noise_scale.heard(filter, channel, time_s, frozen)
@@ -144,45 +144,45 @@ class FaultMonitor:
         """By how much samples are to differ from one to the next, shape (6,)."""
         return self.imu_monitor.expected(drive, white)
 
-    def weigh(self, memory: MonitorMemory, C: Array, r: Array, output: Array) -> None:
+    def set_imu_noise(self, memory: MonitorMemory, C: Array, r: Array, output: Array) -> None:
         """Write the error models of the axes as they are believed now to `output`."""
-        self.imu_monitor.weigh(memory.imu, C, r, output)
+        self.imu_monitor.set_imu_noise(memory.imu, C, r, output)
 
     def rate_variance(self, memory: MonitorMemory, r: Array) -> Array:
         """Variance of the angular rate as it is used for lever arms, shape (3,)."""
         return self.imu_monitor.rate_variance(memory.imu, r)
 
-    def look(self, samples: Array, memory: MonitorMemory, sd: Array) -> int:
+    def check_samples(self, samples: Array, memory: MonitorMemory, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
-        return self.imu_monitor.look(samples, memory.imu, sd)
+        return self.imu_monitor.check_samples(samples, memory.imu, sd)
 
-    def stand_in(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
+    def replace_missing(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
         """Write values for samples that are missing."""
-        yield from self.imu_monitor.stand_in(samples, filter.memory, said_s)
+        yield from self.imu_monitor.replace_missing(samples, filter.memory, said_s)
 
-    def has_news(self, memory: MonitorMemory) -> bool:
+    def has_findings(self, memory: MonitorMemory) -> bool:
         """Whether something has been found in the samples."""
         return self.imu_monitor.news(memory.imu)
 
-    def imu(self, filter: FilterState) -> Actions:
+    def act_on_imu(self, filter: FilterState) -> Actions:
         """Act on what has been found in the samples."""
         memory = filter.memory
         w = memory.monitor.imu
         if not batch.heeded(w, memory.nav, memory.P, filter.period_s):
-            before = self.imu_monitor.lost(w)
+            before = self.imu_monitor.has_excluded(w)
             yield from self.imu_monitor.heed(filter)
-            if before or self.imu_monitor.lost(w):
+            if before or self.imu_monitor.has_excluded(w):
                 yield from realignment.after_fault(filter)
 
-    def is_lost(self, memory: MonitorMemory) -> bool:
+    def has_excluded(self, memory: MonitorMemory) -> bool:
         """Whether something else stands in place of what an axis of the unit says."""
-        return self.imu_monitor.lost(memory.imu)
+        return self.imu_monitor.has_excluded(memory.imu)
 
-    def left_out(self, memory: MonitorMemory) -> list[str]:
+    def excluded_axes(self, memory: MonitorMemory) -> list[str]:
         """Names of the axes that something else stands in for."""
-        return self.imu_monitor.left_out(memory.imu)
+        return self.imu_monitor.excluded_axes(memory.imu)
 
-    def carrier(self, memory: MonitorMemory) -> str:
+    def propagation(self, memory: MonitorMemory) -> str:
         """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
         return self.imu_monitor.lane(memory.imu)
 
@@ -190,7 +190,7 @@ class FaultMonitor:
         """Condition of every axis in words; none where nothing is watched."""
         return self.imu_monitor.conditions(memory.imu)
 
-    def silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
+    def on_silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
         yield from realignment.attend(filter, missing)
 

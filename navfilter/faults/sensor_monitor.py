@@ -91,7 +91,7 @@ class SensorMonitor:
         """Latitude and longitude then [rad]."""
         return self.figures.item(LATITUDE), self.figures.item(LONGITUDE)
 
-    def sees(self, time_s: float, value: Array) -> tuple[bool, bool]:
+    def on_arrival(self, time_s: float, value: Array) -> tuple[bool, bool]:
         """Note what arrives; whether it looks stuck, and whether it is the same as before."""
         raw, figures = value.tobytes(), self.figures
         if raw == self.value:
@@ -106,7 +106,7 @@ class SensorMonitor:
         same, since_s, heard_s = self.figures[: HEARD_S + 1].tolist()
         return bool(same >= self.STUCK_READINGS and heard_s - since_s >= self.STUCK_S)
 
-    def note(self, status: str, time_s: float, nis: float, dof: int, nav: Array | None = None) -> None:
+    def on_outcome(self, status: str, time_s: float, nis: float, dof: int, nav: Array | None = None) -> None:
         """Note what became of it, and where; nav: (17,) nominal state."""
         figures = self.figures
         if status == "used":

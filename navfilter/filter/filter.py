@@ -49,9 +49,9 @@ CODES = {name: code for code, name in enumerate(OUTCOMES)}
 class Filter:
     """Error-state extended Kalman filter in closed loop, fed in the order of time.
 
-    `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model
-    in force, `apply` does what a monitor asks for, `recall` goes back to an earlier `memory`. What it does, it tells as
-    events (`navfilter.filter.events`).
+    `propagate` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model
+    in force, `apply` does what a monitor asks for, `restore` goes back to an earlier `memory`. What it does, it tells
+    as events (`navfilter.filter.events`).
 
     Parameters
     ----------
@@ -74,9 +74,9 @@ class Filter:
     channels : dict of str to Channel
     drive_output, drive_sd : ndarray, shapes (6, states of the drive + 1) and (6,)
         Rows of C of the drive's error models, and the white variance of a sample; see `Monitor.sample_sd`.
-    feels_after : int
+    stationary_after : int
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
-    foreseen : list of Adoption
+    prepared : list of Adoption
         What may be adopted next, worked out beforehand.
 
     Raises
@@ -99,13 +99,13 @@ class Filter:
         self.inertial = drive.inertial
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
-        self._like: tuple[Vehicle, Layout] | None = None
-        self.foreseen: list[Adoption] = []
+        self._layout_before: tuple[Vehicle, Layout] | None = None
+        self.prepared: list[Adoption] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
-        self.feels_after = max(2, round(drive.rate_hz * shortest_s)) if self._rest else 0
+        self.stationary_after = max(2, round(drive.rate_hz * shortest_s)) if self._rest else 0
         for channel in self._rest:
-            channel.samples = self.feels_after
+            channel.samples = self.stationary_after
         self.begin()
 
     def begin(self, models: dict[str, Errors] | None = None) -> None:
@@ -115,7 +115,7 @@ class Filter:
         counts = dict.fromkeys((*COUNTED, *self.monitor.counted), 0)
         self.intake = ImuIntake(self.vehicle.drive, state.time_s, counts)
         for channel in self.channels.values():
-            channel.forget()
+            channel.reset_memory()
         adopted = tuple((models or {}).items())
         self._arrange(adopted)
         memory = FilterMemory(
@@ -133,8 +133,8 @@ class Filter:
             models=adopted,
             counts=counts,
         )
-        memory.monitor = self.monitor.fresh(self, memory)
-        self.recall(memory)
+        memory.monitor = self.monitor.initial_memory(self, memory)
+        self.restore(memory)
         if self.tape is not None:
             if models is None:
                 self.tape.begin(self.layout)
@@ -155,9 +155,9 @@ class Filter:
     def _arrange(self, models: tuple[tuple[str, Errors], ...], found: Adoption | None = None) -> None:
         """Lay out the states with these models in force, and the working memory that depends on it."""
         in_force = found.after if found else self.vehicle.with_error(**dict(models))
-        self.layout = layout = found.layout if found else Layout.of(in_force, self._like)
+        self.layout = layout = found.layout if found else Layout.of(in_force, self._layout_before)
         g, m = layout.drive, layout.head
-        self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
+        self.in_force, self._layout_before, self._laid_out = in_force, (in_force, layout), models
         self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, self.monitor.sample_sd(in_force.drive, g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0, 0])
@@ -166,33 +166,33 @@ class Filter:
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
         self.bench, self.plan, self.drive_spot = shared(list(self.channels.values()), self.vehicle.drive, self._dims)
 
-    def weigh(self) -> None:
+    def set_imu_noise(self) -> None:
         """Believe the drive's axes as far as the monitor says."""
         g, remembered = self.layout.drive, self.memory.monitor
-        self.monitor.weigh(remembered, g.C, g.r, self.drive_output)
+        self.monitor.set_imu_noise(remembered, g.C, g.r, self.drive_output)
         if self.inertial:
             variance = self.monitor.rate_variance(remembered, g.r)
             for channel in self.channels.values():
-                channel.turns_by(variance)
+                channel.set_rate_variance(variance)
 
     def _identity(self) -> Array:
         return np.eye(4 * self.layout.head, self.layout.head)
 
     # ---------------------------------------------------------------- what changes
-    def recall(self, memory: FilterMemory) -> None:
+    def restore(self, memory: FilterMemory) -> None:
         """Go back (or on) to a memory, which is then this filter's own."""
         if memory.models is not self._laid_out:
             self._arrange(memory.models)
         self.memory = memory
-        self.weigh()
+        self.set_imu_noise()
         self._xd = memory.x[: self.layout.drive.size]
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
             channel.memory = memory.channels[name]
-        self.monitor.recall(memory.monitor, self.channels)
+        self.monitor.restore(memory.monitor, self.channels)
 
     # ---------------------------------------------------------------- propagation
-    def advance(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
+    def propagate(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space.
 
         Parameters
@@ -205,34 +205,34 @@ class Filter:
         """
         if len(samples):
             still = lambda: self.vehicle.drive.at_rest(self.state, self.memory.drv)  # noqa: E731
-            for part, stamps in self.intake.take(samples, self.memory.drv, still):
-                self._carry(part, stamps, tell, room)
+            for part, stamps in self.intake.check(samples, self.memory.drv, still):
+                self._propagate(part, stamps, tell, room)
 
-    def carry_on(self, name: str, time_s: float, tell: Listening) -> None:
+    def propagate_to(self, name: str, time_s: float, tell: Listening) -> None:
         """Carry the state to a reading that comes ahead of the drive, where that is silent; `tell` as in `advance`."""
         until_s = time_s - self.channels[name].lead_s
         if until_s - self.memory.sample_s > self.ahead_s:
             missing = self.intake.missing(until_s, self.memory.time_s)
             if missing is not None:
-                self._carry(*missing, tell, None)
-        self.act(self.monitor.silence(self, False), tell)
+                self._propagate(*missing, tell, None)
+        self.act(self.monitor.on_silence(self, False), tell)
 
-    def _carry(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
+    def _propagate(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
         """Carry the state over samples, or over rows that stand in for those that are missing."""
         memory, begin, total = self.memory, 0, len(samples)
         each = self.tape is not None and self.tape.each_sample
         whole = total <= self.fold_every - memory.unfolded and not (self._rest or room or each)
         missing = self.inertial and total > 0 and math.isnan(samples.item(1))
         if total:
-            self.act(self.monitor.silence(self, missing), tell)
+            self.act(self.monitor.on_silence(self, missing), tell)
         while begin < total:
             end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
                 said_s = min(stamps.item(-1), memory.sample_s + self.ahead_s + self.period_s)  # taken until then
-                self.act(self.monitor.stand_in(self, samples[begin:end], said_s), tell)
-                self.weigh()
+                self.act(self.monitor.replace_missing(self, samples[begin:end], said_s), tell)
+                self.set_imu_noise()
             elif self.inertial:
-                end = begin + self.monitor.look(samples[begin:end], memory.monitor, self.drive_sd)
+                end = begin + self.monitor.check_samples(samples[begin:end], memory.monitor, self.drive_sd)
             block = samples if end - begin == total else samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
@@ -243,21 +243,21 @@ class Filter:
                 tell(self._fold())
             elif each:
                 self._row()
-            self.feel(tell)
+            self.correct_stationary(tell)
             if room is not None:
                 tell(SamplesUsed(np.full(block.shape, np.nan) if missing else block))
-            if self.monitor.has_news(memory.monitor):
-                self.check_imu(tell)
+            if self.monitor.has_findings(memory.monitor):
+                self.act_on_imu(tell)
             begin = end
 
-    def check_imu(self, tell: Listening) -> None:
+    def act_on_imu(self, tell: Listening) -> None:
         """Act on what the monitor has found in the samples."""
-        self.act(self.monitor.imu(self), tell)
+        self.act(self.monitor.act_on_imu(self), tell)
 
-    def feel(self, tell: Listening) -> None:
+    def correct_stationary(self, tell: Listening) -> None:
         """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
-        felt = self.vehicle.drive.felt(self.memory.drv, self.feels_after * self.period_s) if self._rest else None
-        if felt is None or self.monitor.is_lost(self.memory.monitor):
+        felt = self.vehicle.drive.felt(self.memory.drv, self.stationary_after * self.period_s) if self._rest else None
+        if felt is None or self.monitor.has_excluded(self.memory.monitor):
             return
         for channel in self._rest:
             reading = channel.sensor.felt(*felt, self.memory.nav[3:6], self.memory.P[3:6, 3:6])
@@ -267,7 +267,7 @@ class Filter:
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
         room = self.fold_every - self.memory.unfolded
-        room = max(1, min(room, self.feels_after - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
+        room = max(1, min(room, self.stationary_after - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
         return room if asked is None else min(room, asked())
 
     def _fold(self) -> Propagated:
@@ -346,7 +346,7 @@ class Filter:
         """What follows from the verdict on a reading, which stands in its channel."""
         channel.stuck, channel.stale = frozen, False
         nis, dof, used = channel.verdict.tolist()
-        widened, described = self.act(self.monitor.judged(self, channel, time_s, frozen), tell)
+        widened, described = self.act(self.monitor.after_gate(self, channel, time_s, frozen), tell)
         nis, channel.verdict[0] = described, channel.verdict[0] if widened else described
         if used or widened:
             status = "used"
@@ -383,7 +383,7 @@ class Filter:
             case actions.Adopt(change):
                 self.adopt(change, tell)
             case actions.Transform(velocity_n, C_nb, M, N):
-                self._put(velocity_n, C_nb, M, N, tell)
+                self._set_velocity_attitude(velocity_n, C_nb, M, N, tell)
             case actions.TurnHeading(compass, angle, variance):
                 self._turn_heading(compass, angle, variance)
             case actions.MovePosition(north_m, east_m):
@@ -399,7 +399,7 @@ class Filter:
                 if memory.unfolded:
                     tell(self._fold())
             case actions.Reweigh():
-                self.weigh()
+                self.set_imu_noise()
             case actions.RestartRest():
                 memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
             case actions.AxisCondition(time_s, axis, condition):
@@ -408,7 +408,7 @@ class Filter:
             case actions.Announce(event):
                 tell(event)
 
-    def take_up(self, tell: Listening) -> None:
+    def handle_pending(self, tell: Listening) -> None:
         """Do what refused readings have made necessary, before the next input."""
         self.act(self.monitor.pending(self), tell)
 
@@ -436,15 +436,15 @@ class Filter:
         if channel is not None and channel.offset and not change.offsets:
             error = with_the_same_offsets(per_axis(error, channel.axes, change.sensor), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
-        found = adoption(self.in_force, self.layout, change.sensor, error, change.afresh, self.foreseen)
+        found = adoption(self.in_force, self.layout, change.sensor, error, change.afresh, self.prepared)
         models = tuple((dict(memory.models) | {change.sensor: error}).items())
         if memory.unfolded:
             tell(self._fold())
         self._arrange(models, found)
-        self._change(found.M, found.N)
+        self._transform(found.M, found.N)
         memory.x = np.ascontiguousarray(found.M[9:, 9:] @ memory.x)
         memory.acc, memory.models, self._xd = self._identity(), models, memory.x[: self.layout.drive.size]
-        self.weigh()
+        self.set_imu_noise()
         drive, places = found.after.drive, strapdown.PLACES
         if drive is not found.before.drive:
             memory.drv[places] = drive.memory(self.layout.drive.errors, self.start)[places]
@@ -455,21 +455,21 @@ class Filter:
             self._row()
         tell(StateTransformed(found.M))
 
-    def _change(self, M: Array, N: Array) -> None:
+    def _transform(self, M: Array, N: Array) -> None:
         """Let the error state become ``M x + w``, ``w ~ N(0, N)``."""
         if self.tape is not None:
             self.tape.change(M)
         P = M @ self.memory.P @ M.T + N
         self.memory.P = np.ascontiguousarray(0.5 * (P + P.T))
 
-    def _put(self, velocity_n: Array, C_nb: Array, M: Array, N: Array, tell: Listening) -> None:
+    def _set_velocity_attitude(self, velocity_n: Array, C_nb: Array, M: Array, N: Array, tell: Listening) -> None:
         """Put another velocity (3,) and attitude (3, 3) in place: of the error state ``M x + w``, ``w ~ N(0, N)``,
         is left.
         """
         if self.memory.unfolded:
             tell(self._fold())
         self.memory.nav[3:6], self.memory.nav[6:15] = velocity_n, C_nb.reshape(-1)
-        self._change(M, N)
+        self._transform(M, N)
         self._row()
         tell(StateTransformed(M, anew=True))
 

@@ -149,7 +149,7 @@ class ImuIntake:
         """
         return self.memory.back_count > 1
 
-    def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> list[tuple[Array, Array]]:
+    def check(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> list[tuple[Array, Array]]:
         """Steps in place of stamps (first column), and the stamps: one block, or several, each of samples or of rows
         without values that stand in for some.
         """

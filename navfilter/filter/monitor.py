@@ -48,7 +48,7 @@ class FilterState(Protocol):
     bench: Array
     plan: NDArray[np.int64]
 
-    foreseen: list[Adoption]
+    prepared: list[Adoption]
 
     @property
     def time_s(self) -> float:
@@ -102,11 +102,11 @@ class Monitor(Protocol):
     sample_limits: Array
     cross_checks: bool
 
-    def fresh(self, filter: FilterState, memory: FilterMemory) -> Any:
+    def initial_memory(self, filter: FilterState, memory: FilterMemory) -> Any:
         """Its memory before the first input; that of the filter has none yet."""
         ...
 
-    def recall(self, memory: Any, channels: Mapping[str, Channel]) -> None:
+    def restore(self, memory: Any, channels: Mapping[str, Channel]) -> None:
         """Let every channel have what is remembered of its sensor, as `Channel.faults`."""
         ...
 
@@ -140,7 +140,7 @@ class Monitor(Protocol):
         """Whether a reading that has the value of the one before says nothing new."""
         ...
 
-    def judged(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
+    def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
         """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
         ...
 
@@ -153,7 +153,7 @@ class Monitor(Protocol):
         """By how much samples are to differ from one to the next, shape (6,)."""
         ...
 
-    def weigh(self, memory: Any, C: Array, r: Array, output: Array) -> None:
+    def set_imu_noise(self, memory: Any, C: Array, r: Array, output: Array) -> None:
         """Write the error models of the axes as they are believed now to `output` (6, k + 1)."""
         ...
 
@@ -161,31 +161,31 @@ class Monitor(Protocol):
         """Variance of the angular rate as it is used for lever arms, shape (3,)."""
         ...
 
-    def look(self, samples: Array, memory: Any, sd: Array) -> int:
+    def check_samples(self, samples: Array, memory: Any, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
         ...
 
-    def stand_in(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
+    def replace_missing(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
         """Write values for samples that are missing."""
         ...
 
-    def has_news(self, memory: Any) -> bool:
+    def has_findings(self, memory: Any) -> bool:
         """Whether something has been found in the samples."""
         ...
 
-    def imu(self, filter: FilterState) -> Actions:
+    def act_on_imu(self, filter: FilterState) -> Actions:
         """Act on what has been found in the samples."""
         ...
 
-    def is_lost(self, memory: Any) -> bool:
+    def has_excluded(self, memory: Any) -> bool:
         """Whether something else stands in place of what an axis of the unit says."""
         ...
 
-    def left_out(self, memory: Any) -> list[str]:
+    def excluded_axes(self, memory: Any) -> list[str]:
         """Names of the axes that something else stands in for."""
         ...
 
-    def carrier(self, memory: Any) -> str:
+    def propagation(self, memory: Any) -> str:
         """What carries the state: "inertial", or "dead-reckoning"."""
         ...
 
@@ -193,7 +193,7 @@ class Monitor(Protocol):
         """Condition of every axis in words; none where nothing is watched."""
         ...
 
-    def silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
+    def on_silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
         ...
 

@@ -63,9 +63,9 @@ class Channel:
         self.facts: Array | None = None  # what the monitor works out for these states
         self._described: ChannelModel | None = None
         self._foreseen: ChannelModel | None = None
-        self.forget()
+        self.reset_memory()
 
-    def forget(self) -> None:
+    def reset_memory(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
         self.faults: Any = None  # what the monitor remembers of the sensor
@@ -99,7 +99,7 @@ class Channel:
         at = kalman.places(self.dims)
         self.places, self.record_size, self.size = np.array(at), at[5], at[-1] + own.content.size
 
-    def foresee(self, vehicle: Vehicle, layout: Layout) -> None:
+    def prepare(self, vehicle: Vehicle, layout: Layout) -> None:
         """It may have to `arrange` itself for these next: what it takes is worked out beforehand."""
         drive, g = vehicle.drive, layout.drive
         variance = drive.rate_variance(g.Q, g.C, g.r) / self.samples
@@ -159,7 +159,7 @@ class Channel:
         self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 
-    def turns_by(self, rate_variance: Array) -> None:
+    def set_rate_variance(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
         variance = rate_variance / self.samples
         if not np.array_equal(variance, self._turned):

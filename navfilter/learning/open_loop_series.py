@@ -222,7 +222,7 @@ class OpenLoopSeries:
         return hop is not None and bool(self._memory.cursor[0] >= hop.taken)
 
     @property
-    def ear(self) -> Array:
+    def series_kernel(self) -> Array:
         """What a kernel needs to listen over many readings, see `navfilter.kernels.open_loop_residual`."""
         memory, ear = self._memory, self._ear.copy()
         due = memory.due if memory.hop is None else memory.hop.taken

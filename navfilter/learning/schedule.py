@@ -99,7 +99,7 @@ class LearningSchedule:
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
         for name, sensor in vehicle.sensors.items():
             if any(learning_part(model) is not None for model in sensor.models):
-                self.listen(name)
+                self.record_residuals(name)
         self.beginning = InputBuffer(tuple(vehicle.sensors)) if self.listeners else None
         #: Fixes that nothing is learnt of, of a vehicle with constants that are states.
         self.fixes = consistency.told_by(filter) - set(self.listeners) if self.listeners else set()
@@ -133,7 +133,7 @@ class LearningSchedule:
             self.beginning.cut(*memory.kept)
 
     # ---------------------------------------------------------------- listening
-    def listen(self, name: str, capacity: int | None = None) -> None:
+    def record_residuals(self, name: str, capacity: int | None = None) -> None:
         """Note the open-loop residuals of a sensor; those with a `LearnedArma` are listened to without being asked.
 
         Parameters
@@ -173,7 +173,7 @@ class LearningSchedule:
         assert self.rest is not None
         return self.rest.room
 
-    def heard(self, event: Event) -> Sequence[Change]:
+    def on_event(self, event: Event) -> Sequence[Change]:
         """Listen to an event of the filter; returns the error models to adopt."""
         if isinstance(event, SamplesUsed):
             return self._passed(event.samples)
@@ -215,9 +215,9 @@ class LearningSchedule:
             first, *rest = self._waiting
             self._waiting = tuple(rest)
             return (first,)
-        return () if listener is None else self.attended(listener, outcome, time_s, doubtful)
+        return () if listener is None else self.on_reading(listener, outcome, time_s, doubtful)
 
-    def attended(
+    def on_reading(
         self, listener: OpenLoopSeries, outcome: Outcome, time_s: float, doubtful: int = 0
     ) -> Sequence[Change]:
         """What follows when a reading has been listened to; its last ticks may be `doubtful`."""
@@ -230,7 +230,7 @@ class LearningSchedule:
     def ear(self, name: str) -> Array:
         """With which a kernel listens to a sensor, see `navfilter.kernels.open_loop_residual`."""
         if name in self.listeners:
-            return self.listeners[name].ear
+            return self.listeners[name].series_kernel
         return _ASKED if name in self.fixes else _DEAF
 
     def _due(self, listener: OpenLoopSeries, accepted: bool) -> Sequence[Change]:
@@ -268,7 +268,7 @@ class LearningSchedule:
         return False
 
     @property
-    def fed_back(self) -> Array:
+    def feedback(self) -> Array:
         """What a kernel that listens goes on from, see `LearningMemory`; empty where nobody listens."""
         return self._fed_back if self.listeners else _NOTHING
 
@@ -301,7 +301,7 @@ class LearningSchedule:
         return [Change(name, models) for name, models in rest.learn().items()]
 
     # ---------------------------------------------------------------- the beginning
-    def keep(self, item: Array | Measurement) -> None:
+    def buffer_input(self, item: Array | Measurement) -> None:
         """Keep an input of the beginning: samples, or a reading."""
         if self.beginning is not None:
             self.beginning.append(item)
@@ -369,13 +369,13 @@ class LearningSchedule:
         """Have worked out, on the learning thread, what it takes to adopt these behind those that are expected already:
         the filter finds it where it comes like this.
         """
-        filter, known = self.filter, self.filter.foreseen
+        filter, known = self.filter, self.filter.prepared
         if not (known and known[0].before is filter.in_force):
             known = []
         at = (known[-1].after, known[-1].layout) if known else (filter.in_force, filter.layout)
         found = adoption(*at, name, models)
-        filter.channels[name].foresee(found.after, found.layout)
-        filter.foreseen = [*known, found]
+        filter.channels[name].prepare(found.after, found.layout)
+        filter.prepared = [*known, found]
 
     def _ask(self) -> None:
         """Where the constants speak against the models that were learnt, have the beginning done again as described."""

@@ -52,7 +52,7 @@ class EarlyRerun:
         self._goes_back = False
 
     @contextmanager
-    def going_back(self) -> Iterator[None]:
+    def while_going_back(self) -> Iterator[None]:
         """While a late reading is put in its place."""
         self._goes_back = True
         try:
@@ -60,18 +60,18 @@ class EarlyRerun:
         finally:
             self._goes_back = False
 
-    def give(self, item: Array | Measurement) -> None:
+    def buffer_input(self, item: Array | Measurement) -> None:
         """An input of the run, before samples are taken and after a reading has been: then what waits has its turn."""
-        self.follow(item)
+        self.advance_shadow(item)
         if isinstance(item, Measurement):
             self._worker.turn()
 
-    def follow(self, item: Array | Measurement) -> None:
+    def advance_shadow(self, item: Array | Measurement) -> None:
         """As `give`, but nothing that waits has its turn."""
         if self._nav.learning.again is None:
             self.twin = None
         elif self.twin is not None:
-            self.twin.give(item.copy() if isinstance(item, np.ndarray) else item)
+            self.twin.buffer_input(item.copy() if isinstance(item, np.ndarray) else item)
 
     def before(self, time_s: float) -> None:
         """Before a reading of this time: do what is due by then."""
@@ -116,9 +116,9 @@ def _change_places(nav: Run, other: Run) -> None:
     nav.learning.filter, before = nav.filter, nav.learning.beginning
     nav.learning.memory = other.learning.memory
     other.learning.beginning = before
-    nav.changes += 1
-    for name, prompt in nav.prompts.items():
-        prompt.exchange(other.prompts[name])
+    nav.change_count += 1
+    for name, prompt in nav.fast_paths.items():
+        prompt.exchange(other.fast_paths[name])
 
 
 def _let_go(twin: ShadowRun) -> None:
@@ -161,7 +161,7 @@ class ShadowRun:
         #: A fork may have been made in the middle of its work, and has no thread that would end it.
         self.process = os.getpid()
 
-    def give(self, item: Array | Measurement) -> None:
+    def buffer_input(self, item: Array | Measurement) -> None:
         """The next input."""
         self._inputs.append(item)
         if not isinstance(item, Measurement) or not (
@@ -174,13 +174,13 @@ class ShadowRun:
     def _follow(self) -> None:
         """On the thread: work off what there is, and have in hand what the next readings need."""
         self._drain()
-        for prompt in self.run.prompts.values():
+        for prompt in self.run.fast_paths.values():
             prompt.is_ready()
 
     def _drain(self) -> None:
         while self._inputs:
             for item in joined([self._inputs.popleft() for _ in range(len(self._inputs))]):
-                self.run.given(item)
+                self.run.repeat_input(item)
 
     def arrived(self) -> Run:
         """The run, when it has come as far as the one it is a twin of."""
@@ -205,7 +205,7 @@ def _begun(of: Run, learning: LearningMemory, again: RerunRequest, until_s: floa
     for name, memory in learning.listeners.items():
         memory.ring = np.full_like(memory.ring, np.nan)
         if name not in twin.learning.listeners:
-            twin.learning.listen(name, memory.ring.shape[1])
+            twin.learning.record_residuals(name, memory.ring.shape[1])
     twin.learning.memory = learning
     _begin_again(twin, again, until_s, now_s)
     return twin
@@ -222,8 +222,8 @@ def _begin_again(nav: Run, again: RerunRequest, until_s: float, now_s: float) ->
         Rerun(nav, inputs).run()
         return
     # the last of it goes through the history, so that late readings find their place
-    history.begin()
+    history.start_here()
     before = inputs.until(now_s - history.length_s)
     Rerun(nav, inputs.first(*before)).run()
     for item in inputs.inputs(before):
-        history.feed(item)
+        history.process(item)

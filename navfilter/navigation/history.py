@@ -34,7 +34,7 @@ class Run(Protocol):
     def offset_s(self) -> float:
         """By how much stamps are moved since the clock was set [s]."""
 
-    def feed(self, item: Array | Measurement) -> Outcome | None:
+    def process(self, item: Array | Measurement) -> Outcome | None:
         """Take samples (rows of time and six values) or a reading, in order."""
 
 
@@ -59,9 +59,9 @@ class History:
     def __init__(self, run: Run, length_s: float, sensors: Sequence[str]) -> None:
         self.run, self.length_s, self.sensors = run, length_s, list(sensors)
         self.replayed_s = 0.0
-        self.begin()
+        self.start_here()
 
-    def begin(self) -> None:
+    def start_here(self) -> None:
         """Forget everything: the run starts anew."""
         self._marks: list[tuple[float, int, Any]] = []  # time, number of the next input, memory of the run
         self._log: list[Array | Measurement] = []
@@ -76,13 +76,13 @@ class History:
             setattr(self, name, getattr(other, name))
             setattr(other, name, own)
 
-    def feed(self, item: Array | Measurement) -> Outcome | None:
+    def process(self, item: Array | Measurement) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""
         run = self.run
         now, shift = run.time_s, run.offset_s
         kept, spacing_s = (item.copy(), self.RARE_S) if isinstance(item, np.ndarray) else (item, self.SPACING_S)
         self.ready(now, spacing_s)
-        outcome = run.feed(item)
+        outcome = run.process(item)
         self.note(kept, shift)  # behind: the run may have begun this history anew
         return outcome
 
@@ -114,7 +114,7 @@ class History:
             del self._log[: number - self._first], self._shifts[: number - self._first]
             self._first = number
 
-    def late(self, reading: Measurement) -> Outcome | None:
+    def correct_late(self, reading: Measurement) -> Outcome | None:
         """Put a late reading in its place; None when the place lies before the history."""
         # strictly before it, for readings of one time have an order; only the very first checkpoint stands before all
         # readings of its time
@@ -133,12 +133,12 @@ class History:
         self.run.memory = memory
         result: Outcome | None = None
         for item in _in_place(again, shifts, reading, self.sensors):
-            outcome = self.feed(item)
+            outcome = self.process(item)
             if item is reading:
                 result = outcome
         return result
 
-    def kept(self) -> tuple[Any, list[Array | Measurement]]:
+    def content(self) -> tuple[Any, list[Array | Measurement]]:
         """The oldest checkpoint and everything fed since: all that is needed to come to the present state again."""
         if not self._marks:
             return self.run.memory, []

@@ -87,7 +87,7 @@ class ImuFastPath:
         if len(samples) != 1 or nav.filter.memory.monitor.silent:  # the first behind some that were missing ends that
             self._as_of = -1
             return False
-        if fresh := nav.changes != self._as_of:
+        if fresh := nav.change_count != self._as_of:
             self._is_ready()
         memory, kept = self._memory, self._kept
         intake = memory.intake
@@ -112,11 +112,11 @@ class ImuFastPath:
         if fresh:
             nav.filter.intake.taken(0)
         history.note(given, shift)
-        if nav.beginning.twin is not None:
-            nav.beginning.follow(given)
+        if nav.early_rerun.twin is not None:
+            nav.early_rerun.advance_shadow(given)
         if why == batch.HEED:
             self._as_of = -1
-            nav.filter.check_imu(nav.told)
+            nav.filter.act_on_imu(nav.on_event)
         return True
 
     def _is_ready(self) -> None:
@@ -138,7 +138,7 @@ class ImuFastPath:
             *(piece, filter.plan),
         )
         self._hand.take(arrays)
-        self._memory, self._kept, self._as_of = memory, kept, nav.changes
+        self._memory, self._kept, self._as_of = memory, kept, nav.change_count
 
 
 class MeasurementFastPath:
@@ -183,7 +183,7 @@ class MeasurementFastPath:
         except (TypeError, ValueError):
             return None
         nav = self._nav
-        if nav.changes != self._as_of:
+        if nav.change_count != self._as_of:
             if not self.is_ready():
                 return None
             busy = True
@@ -224,7 +224,7 @@ class MeasurementFastPath:
         given = _made(Measurement, (self._name, time_s, z, None, False, False))
         if full and kept is not None:
             kept.append(given)
-            nav.changes += 1  # the pieces in hand are others now
+            nav.change_count += 1  # the pieces in hand are others now
         elif kept is not None:
             kept.readings.count += 1
             kept.values.count += size
@@ -240,10 +240,10 @@ class MeasurementFastPath:
                     self._learn()
                     busy = True
         if looks:
-            self._filter.take_up(nav.told)
+            self._filter.handle_pending(nav.on_event)
         self._history.note(given, shift)
-        if nav.beginning.twin is not None:
-            nav.beginning.follow(given)
+        if nav.early_rerun.twin is not None:
+            nav.early_rerun.advance_shadow(given)
         if self._waiting and not busy:
             nav.learning.worker.turn()
         return outcome
@@ -252,18 +252,18 @@ class MeasurementFastPath:
         """What becomes of a reading that a gate has refused; read: what the kernel has taken."""
         channel, nav = self._channel, self._nav
         channel.reading, channel.count = read.copy(), int(self._facts[batch.TICKED])
-        correction = self._filter.concluded(channel, given.time_s, False, nav.told)
-        nav.told(correction, given.value)
+        correction = self._filter.concluded(channel, given.time_s, False, nav.on_event)
+        nav.on_event(correction, given.value)
         outcome = correction.outcome
-        self._watch.note(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
+        self._watch.on_outcome(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
         return outcome
 
     def _learn(self) -> None:
         """Do what is due in learning behind a reading."""
         nav = self._nav
-        nav.changes += 1
+        nav.change_count += 1
         for change in nav.learning.learn(self._name):
-            nav.filter.adopt(change, nav.told)
+            nav.filter.adopt(change, nav.on_event)
 
     def _is_early(self, time_s: float, busy: bool) -> bool:
         """Do what comes before a reading of this time, and see when more of it is due; whether what is in hand has
@@ -272,10 +272,10 @@ class MeasurementFastPath:
         nav, history, learning = self._nav, self._history, self._nav.learning
         before_s = learning.early_s
         if learning.is_early(time_s):
-            nav.beginning.before(time_s)
+            nav.early_rerun.before(time_s)
             same = nav.filter.memory is self._memory and learning.beginning is self._kept and not learning.is_waiting
             if not (same and learning.learning_s == self._facts[batch.LEARNT_S]):
-                nav.changes += 1
+                nav.change_count += 1
                 return True
         elif not busy and learning.early_s == before_s:  # one after the other
             history.ready(self._memory.time_s)
@@ -295,7 +295,7 @@ class MeasurementFastPath:
         if (
             channel.faults.doubted(channel.offset)
             or not (known and channel.faults.agrees)
-            or nav.waiting.readings
+            or nav.queue.readings
             or learning.is_waiting
         ):
             return False
@@ -308,7 +308,7 @@ class MeasurementFastPath:
             heads, values = kept.readings.pieces[-1], kept.values.pieces[-1]
             self._facts[batch.KEPT_AS] = kept.names.index(self._name)
         self._filter, self._memory, self._channel, self._kept = filter, memory, channel, kept
-        self._watch, self._ahead_s, self._due_s = nav.watches[self._name], filter.ahead_s, -math.inf
+        self._watch, self._ahead_s, self._due_s = nav.sensor_monitors[self._name], filter.ahead_s, -math.inf
         listener, ear, ring, cursor = learning.listeners.get(self._name), learning.ear(self._name), _NO_RING, _NO_CURSOR
         if listener is not None:
             ring, cursor = listener.memory.ring, listener.memory.cursor
@@ -318,12 +318,14 @@ class MeasurementFastPath:
         facts[batch.DIVE_S], facts[batch.LEARNT_S] = channel.dive_s, learning.learning_s
         channel.gate[:] = channel.limits
         arrays = (
-            *(filter.bench, memory.nav, memory.x, memory.drv, facts, learning.fed_back, ear, self._watch.figures),
+            *(filter.bench, memory.nav, memory.x, memory.drv, facts, learning.feedback, ear, self._watch.figures),
             *(memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output, ring, heads, values),
             *(filter.plan, channel.places, cursor),
         )
         self._hand.take(arrays)
-        self._as_of = -1 if channel.stuck or channel.stale else nav.changes  # after a reading that is not it is neither
+        self._as_of = (
+            -1 if channel.stuck or channel.stale else nav.change_count
+        )  # after a reading that is not it is neither
         return True
 
 
@@ -333,7 +335,7 @@ def prompt_sample(nav: Run) -> ImuFastPath | None:
     plain = (
         nav.history is not None
         and nav.learning.rest is None
-        and not (filter.feels_after or filter.monitor.cross_checks)
+        and not (filter.stationary_after or filter.monitor.cross_checks)
     )
     return ImuFastPath(nav) if plain else None
 

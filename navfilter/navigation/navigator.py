@@ -104,20 +104,20 @@ class Navigator(NavigatorStatus):
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed it in the order of time.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
-        self.beginning = EarlyRerun(self, self.learning.worker)
+        self.early_rerun = EarlyRerun(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
-        self.watches = {name: SensorMonitor.of(sensor) for name, sensor in vehicle.sensors.items()}
+        self.sensor_monitors = {name: SensorMonitor.of(sensor) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
         self.clock = ImuClockMonitor(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
-        self.waiting, self._row, self.changes = (
+        self.queue, self._row, self.change_count = (
             MeasurementQueue(),
             np.empty((1, 7)),
             0,
         )  # of anything but by ordinary inputs
-        self.behind = {name: names[i + 1 :] for i, name in enumerate(names)}
-        self.prompts, self._sample = prompts(self), prompt_sample(self)
+        self.later_sensors = {name: names[i + 1 :] for i, name in enumerate(names)}
+        self.fast_paths, self._imu_fast_path = prompts(self), prompt_sample(self)
 
     # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -149,30 +149,30 @@ class Navigator(NavigatorStatus):
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
-        for item in self.clock.take(samples):
-            if self.waiting.readings or isinstance(item, ReceivedMeasurement):
-                self._go_on(item)
+        for item in self.clock.check_samples(samples):
+            if self.queue.readings or isinstance(item, ReceivedMeasurement):
+                self._process_item(item)
             else:
-                self._carry(item)
+                self._propagate(item)
 
-    def _go_on(self, item: Array | ReceivedMeasurement) -> Outcome | None:
+    def _process_item(self, item: Array | ReceivedMeasurement) -> Outcome | None:
         if isinstance(item, ReceivedMeasurement):
-            return self._place(item)
-        self._pass_on(item)
+            return self._queue_or_correct(item)
+        self._propagate_to_queue(item)
         return None
 
-    def _pass_on(self, samples: Array) -> None:
-        while self.waiting.readings and len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
-            here = int(np.argmax(samples[:, 0] + self.offset_s > self.waiting.next_s + 1e-9))
-            self._carry(samples[:here])
-            self._release(self.waiting.next_s)
+    def _propagate_to_queue(self, samples: Array) -> None:
+        while self.queue.readings and len(samples) and samples[-1, 0] + self.offset_s > self.queue.next_s + 1e-9:
+            here = int(np.argmax(samples[:, 0] + self.offset_s > self.queue.next_s + 1e-9))
+            self._propagate(samples[:here])
+            self._correct_due(self.queue.next_s)
             samples = samples[here:]
-        self._carry(samples)
+        self._propagate(samples)
 
-    def _carry(self, samples: Array) -> None:
-        if len(samples) and not (self._sample and self._sample.take(samples)):
-            self.beginning.give(samples)
-            (self if self.history is None else self.history).feed(samples)
+    def _propagate(self, samples: Array) -> None:
+        if len(samples) and not (self._imu_fast_path and self._imu_fast_path.take(samples)):
+            self.early_rerun.buffer_input(samples)
+            (self if self.history is None else self.history).process(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
         """Correct the state with a reading of a named sensor.
@@ -195,95 +195,95 @@ class Navigator(NavigatorStatus):
             Never an exception: whatever arrives has a defined outcome.
         """
         known = isinstance(name, str)
-        if known and sd is None and (prompt := self.prompts.get(name)) and (outcome := prompt.take(time_s, value)):
+        if known and sd is None and (prompt := self.fast_paths.get(name)) and (outcome := prompt.take(time_s, value)):
             return outcome
-        if not (known and name in self.watches):
+        if not (known and name in self.sensor_monitors):
             return Outcome("unknown-sensor")
         try:
             z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
-        if (held := self.clock.hear(arrived := ReceivedMeasurement(name, time_s, z, sd))) is not None:
-            return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
-        return self._place(arrived)
+        if (held := self.clock.check_reading(arrived := ReceivedMeasurement(name, time_s, z, sd))) is not None:
+            return [Outcome("waiting"), *(self._process_item(item) for item in held)][-1] or Outcome("waiting")
+        return self._queue_or_correct(arrived)
 
-    def _place(self, arrived: ReceivedMeasurement) -> Outcome:
-        self.changes += 1
+    def _queue_or_correct(self, arrived: ReceivedMeasurement) -> Outcome:
+        self.change_count += 1
         name, time_s, z, sd = arrived
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
         reading = Measurement(name, time_s + self.filter.channels[name].lead_s, z, sd)
-        self._release(time_s)
+        self._correct_due(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")
         if reading.time_s > max(time_s, self.time_s):
-            self.waiting.put(reading)
+            self.queue.put(reading)
             return Outcome("waiting")
-        return self.take(reading)
+        return self.correct_now(reading)
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
-        for item in self.clock.rest():
-            self._go_on(item)
-        self._release()
+        for item in self.clock.flush():
+            self._process_item(item)
+        self._correct_due()
 
-    def _release(self, time_s: float = math.inf) -> None:
-        for reading in self.waiting.due(time_s) if self.waiting.readings else ():
-            self.take(reading)
+    def _correct_due(self, time_s: float = math.inf) -> None:
+        for reading in self.queue.take_due(time_s) if self.queue.readings else ():
+            self.correct_now(reading)
 
-    def take(self, reading: Measurement) -> Outcome:
+    def correct_now(self, reading: Measurement) -> Outcome:
         """Take a reading now, even one that would wait; users call `correct`."""
-        watch = self.watches[reading.name]
-        reading = Measurement(*reading[:4], *watch.sees(reading.time_s, reading.value))
-        outcome = self.placed(reading)
-        self.beginning.give(reading)
-        watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
+        watch = self.sensor_monitors[reading.name]
+        reading = Measurement(*reading[:4], *watch.on_arrival(reading.time_s, reading.value))
+        outcome = self.correct_in_order(reading)
+        self.early_rerun.buffer_input(reading)
+        watch.on_outcome(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
-    def given(self, item: Array | Measurement) -> None:
+    def repeat_input(self, item: Array | Measurement) -> None:
         """Take an input as another run has: samples, or a reading in its place."""
         if isinstance(item, np.ndarray):
-            self._carry(item)
+            self._propagate(item)
         else:
-            self.placed(item)
+            self.correct_in_order(item)
 
-    def placed(self, reading: Measurement) -> Outcome:
+    def correct_in_order(self, reading: Measurement) -> Outcome:
         """Take a reading where its time says."""
         history, filter, outcome = self.history, self.filter, None
         if history is None:
-            return self.feed(reading) or Outcome("too-late")
+            return self.process(reading) or Outcome("too-late")
         # of readings with the same time, those of the sensors named first come first, as in a replay
-        behind = [filter.channels[name].memory.last_s for name in self.behind[reading.name]]
+        behind = [filter.channels[name].memory.last_s for name in self.later_sensors[reading.name]]
         if not (reading.time_s < filter.memory.time_s - 1e-7 or reading.time_s in behind):
-            outcome = history.feed(reading)
+            outcome = history.process(reading)
         elif not filter.intake.in_doubt:
-            with self.beginning.going_back():
-                outcome = history.late(reading)
+            with self.early_rerun.while_going_back():
+                outcome = history.correct_late(reading)
             if outcome is not None and outcome.status == "used":
                 outcome = outcome._replace(status="late-replayed")
         return outcome or Outcome("too-late")
 
-    def feed(self, item: Array | Measurement) -> Outcome | None:
+    def process(self, item: Array | Measurement) -> Outcome | None:
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
         if isinstance(item, np.ndarray):
-            self.learning.keep(item)
-            self.filter.advance(item, self.told, self._room)
-            self.changes += bool(self.filter.memory.monitor.silent)
+            self.learning.buffer_input(item)
+            self.filter.propagate(item, self.on_event, self._room)
+            self.change_count += bool(self.filter.memory.monitor.silent)
             return None
         ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
         if not ahead_s > self.filter.ahead_s:
-            self.beginning.before(item.time_s)
-        self.learning.keep(item)
-        self.filter.carry_on(item.name, item.time_s, self.told)
-        self.told(correction := self.filter.correct(item, self.told), item.value)
-        self.filter.take_up(self.told)
+            self.early_rerun.before(item.time_s)
+        self.learning.buffer_input(item)
+        self.filter.propagate_to(item.name, item.time_s, self.on_event)
+        self.on_event(correction := self.filter.correct(item, self.on_event), item.value)
+        self.filter.handle_pending(self.on_event)
         return correction.outcome
 
-    def told(self, event: Event, value: Array | None = None) -> None:
+    def on_event(self, event: Event, value: Array | None = None) -> None:
         """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
-        self.changes += 1
-        self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.told)
-        for change in self.learning.heard(event):
-            self.filter.adopt(change, self.told)
+        self.change_count += 1
+        self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.on_event)
+        for change in self.learning.on_event(event):
+            self.filter.adopt(change, self.on_event)
 
     # ---------------------------------------------------------------- error models
     def adopt(self, name: str, error: Errors) -> None:
@@ -305,17 +305,17 @@ class Navigator(NavigatorStatus):
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        self.filter.adopt(Change(name, error), self.told)
+        self.filter.adopt(Change(name, error), self.on_event)
         self.learning.adopted_by_hand(name)
         if self.history is not None:
-            self.history.begin()
+            self.history.start_here()
 
-    def listen(self, name: str, capacity: int | None = None) -> None:
+    def record_residuals(self, name: str, capacity: int | None = None) -> None:
         """Note the open-loop residuals of a sensor, see `navfilter.learning.schedule.LearningSchedule.listen`."""
-        self.changes += 1
-        self.learning.listen(name, capacity)
+        self.change_count += 1
+        self.learning.record_residuals(name, capacity)
 
-    def heard(self, name: str) -> tuple[ChannelSeries, ...]:
+    def residuals(self, name: str) -> tuple[ChannelSeries, ...]:
         """Open-loop residuals of a sensor that is listened to, one series per axis."""
         return self.learning.series(name)
 
@@ -329,8 +329,8 @@ class Navigator(NavigatorStatus):
 
     @memory.setter
     def memory(self, memory: NavigatorMemory) -> None:
-        self.changes += 1
-        self.filter.recall(memory.filter)
+        self.change_count += 1
+        self.filter.restore(memory.filter)
         self.learning.memory = memory.learning
 
     @property
@@ -366,12 +366,12 @@ class Navigator(NavigatorStatus):
     @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
-        return state_of(self.filter, self.watches, self.clock, self.learning.worker.health)
+        return state_of(self.filter, self.sensor_monitors, self.clock, self.learning.worker.health)
 
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        return health_of(self.filter, self.watches, self.clock, self.learning.worker.health, self.filter.state)
+        return health_of(self.filter, self.sensor_monitors, self.clock, self.learning.worker.health, self.filter.state)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -392,9 +392,17 @@ class Navigator(NavigatorStatus):
         """
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
-        memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
+        memory, inputs = (self.memory, []) if self.history is None else self.history.content()
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = self.start, length_s, memory.whole(), inputs, self.watches, self.clock.memory, self.waiting.readings
+        saved = (
+            self.start,
+            length_s,
+            memory.whole(),
+            inputs,
+            self.sensor_monitors,
+            self.clock.memory,
+            self.queue.readings,
+        )
         return snapshots.write(snapshots.SnapshotContent(*saved), self.vehicle, self.time_s, path)
 
     @classmethod
@@ -416,30 +424,30 @@ class Navigator(NavigatorStatus):
         """
         saved = snapshots.read(vehicle, source, MEMORY)
         try:
-            return cls._revived(vehicle, saved)
+            return cls._resumed(vehicle, saved)
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise snapshots.unreadable(error) from error
 
     @classmethod
-    def _revived(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent) -> Navigator:
+    def _resumed(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent) -> Navigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
-        check_watches(saved.watches, nav.watches)
-        nav.watches = saved.watches
-        nav.revive(saved.memory)
+        check_watches(saved.watches, nav.sensor_monitors)
+        nav.sensor_monitors = saved.watches
+        nav.resume(saved.memory)
         for item in saved.inputs:
-            nav._given(item)
+            nav._repeat_input(item)
         for reading in saved.waiting:
             if not nav.filter.channels[reading.name].lead_s:
                 raise ValueError(f"a reading of {reading.name} waits")
-            nav.waiting.put(reading)
-        nav.clock.go_on(saved.clock)
+            nav.queue.put(reading)
+        nav.clock.restore(saved.clock)
         return nav
 
-    def revive(self, memory: NavigatorMemory) -> None:
+    def resume(self, memory: NavigatorMemory) -> None:
         """Go on from a memory that came from outside; raises ValueError for one that is not of this vehicle."""
         for name, listener in memory.learning.listeners.items():
             if name not in self.learning.listeners:
-                self.listen(name, listener.ring.shape[1])
+                self.record_residuals(name, listener.ring.shape[1])
         self.filter.begin(dict(memory.filter.models))
         self.learning.begin_again(-math.inf)
         own = self.filter
@@ -453,11 +461,11 @@ class Navigator(NavigatorStatus):
         memory.learning.revive(tuple(self.filter.channels))
         self.memory = memory
 
-    def _given(self, item: Array | Measurement) -> None:
+    def _repeat_input(self, item: Array | Measurement) -> None:
         """An input of a snapshot, again."""
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
         if self.history is None:
             raise ValueError("it has inputs without a history")
-        for take in (self.beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
+        for take in (self.early_rerun.buffer_input, self.history.process)[:: 1 if isinstance(item, np.ndarray) else -1]:
             take(item)

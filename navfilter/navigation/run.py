@@ -33,13 +33,13 @@ class Run(Protocol):
     history : History or None
         None: nothing may come late.
     clock : ImuClockMonitor
-    watches : dict of str to Watch
-    waiting : MeasurementQueue
-    beginning
+    sensor_monitors : dict of str to SensorMonitor
+    queue : MeasurementQueue
+    early_rerun
         What runs the first minutes again (`navfilter.navigation.early_rerun`).
-    prompts
+    fast_paths
         By sensor, what takes its ordinary readings live.
-    changes : int
+    change_count : int
         Counts all that changes otherwise than by ordinary inputs.
     """
 
@@ -49,13 +49,13 @@ class Run(Protocol):
     learning: LearningSchedule
     history: History | None
     clock: ImuClockMonitor
-    watches: dict[str, SensorMonitor]
-    waiting: MeasurementQueue
-    beginning: Any
-    changes: int
+    sensor_monitors: dict[str, SensorMonitor]
+    queue: MeasurementQueue
+    early_rerun: Any
+    change_count: int
 
     @property
-    def prompts(self) -> Mapping[str, Any]:
+    def fast_paths(self) -> Mapping[str, Any]:
         """By sensor."""
         ...
 
@@ -77,15 +77,15 @@ class Run(Protocol):
         """Take a measurement that has arrived."""
         ...
 
-    def take(self, reading: Measurement) -> Outcome:
+    def correct_now(self, reading: Measurement) -> Outcome:
         """Take a measurement now."""
         ...
 
-    def given(self, item: Array | Measurement) -> None:
+    def repeat_input(self, item: Array | Measurement) -> None:
         """Take an input as another run has."""
         ...
 
-    def feed(self, item: Array | Measurement) -> Outcome | None:
+    def process(self, item: Array | Measurement) -> Outcome | None:
         """Give samples or a measurement, in order, to filter and learning."""
         ...
 
@@ -93,6 +93,6 @@ class Run(Protocol):
         """Take the measurements that still wait: no more samples come."""
         ...
 
-    def told(self, event: Event, value: Array | None = None) -> None:
+    def on_event(self, event: Event, value: Array | None = None) -> None:
         """Show the monitor and learning what the filter does."""
         ...

@@ -84,7 +84,9 @@ class BatchRunner:
         self._same = self._repeated()
         driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.monitor.cross_checks
         # beams have more directions than an ear of the kernel holds
-        heard = all(listener.ear.size == open_loop_residual.EAR for listener in nav.learning.listeners.values())
+        heard = all(
+            listener.series_kernel.size == open_loop_residual.EAR for listener in nav.learning.listeners.values()
+        )
         self._steady = driven and heard and nav.learning.rest is None
         noted = max([1 + most, *(len(listener.memory.ring) for listener in nav.learning.listeners.values())])
         self._opened = np.empty((READINGS, 1 + noted))
@@ -93,7 +95,7 @@ class BatchRunner:
         self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 6), np.int64)
 
     def _watched(self) -> list[SensorMonitor]:
-        return [self.nav.watches[name] for name in self._readings.names]
+        return [self.nav.sensor_monitors[name] for name in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
         """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
@@ -149,7 +151,7 @@ class BatchRunner:
             self._feed(self._block(self.done, end))
         self.done = self._kept = max(self.done, end)
         if why == kernels.JUDGED:
-            self.nav.learning.keep(self._reading(at, self._watches[self._readings.sensor[at]].stuck))
+            self.nav.learning.buffer_input(self._reading(at, self._watches[self._readings.sensor[at]].stuck))
             self._conclude(int(self._readings.sensor[at]), float(self._readings.time_s[at]))
         else:
             self._correct(at)
@@ -158,7 +160,7 @@ class BatchRunner:
     def _correct(self, at: int) -> None:
         given = self._readings
         if self._waits and self._lead_s[given.sensor[at]]:
-            self.nav.take(self._reading(at))
+            self.nav.correct_now(self._reading(at))
         else:
             self.nav.correct(given.names[given.sensor[at]], float(given.stamp_s[at]), given.value(at), given.sd(at))
 
@@ -174,7 +176,7 @@ class BatchRunner:
         arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1])
         self._until -= at + int(np.count_nonzero(arrived[at : self._until]))
         for k in at + np.flatnonzero(arrived[at:]):
-            self.nav.waiting.put(self._reading(int(k)))
+            self.nav.queue.put(self._reading(int(k)))
         self._readings = given.later(-lead_s, at + np.flatnonzero(~arrived[at:]))
         self._ends = self._samples_before()
         self.at, self._waits, self._steady = 0, False, False
@@ -189,17 +191,17 @@ class BatchRunner:
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
         if end > self._kept and self.nav.learning.beginning is not None:
-            self.nav.learning.keep(self._block(self._kept, end))
+            self.nav.learning.buffer_input(self._block(self._kept, end))
         self._kept = max(self._kept, end)
 
     def _conclude(self, sensor: int, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""
         nav, watch, name = self.nav, self._watches[sensor], self._readings.names[sensor]
-        correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck, nav.told)
-        nav.told(correction)
-        nav.filter.take_up(nav.told)
+        correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck, nav.on_event)
+        nav.on_event(correction)
+        nav.filter.handle_pending(nav.on_event)
         of = correction.outcome
-        watch.note(of.status, time_s, of.nis, of.dof, nav.filter.nav)
+        watch.on_outcome(of.status, time_s, of.nis, of.dof, nav.filter.nav)
 
     def _block(self, begin: int, end: int) -> Array:
         block = np.empty((end - begin, 7))
@@ -252,9 +254,9 @@ class BatchRunner:
                 self._heed()
             elif why == kernels.LEARN:
                 for change in self.nav.learning.learn(self._readings.names[self._readings.sensor[self.at - 1]]):
-                    self.nav.filter.adopt(change, self.nav.told)
+                    self.nav.filter.adopt(change, self.nav.on_event)
             if why in (kernels.LEARN, kernels.LOOK):
-                self.nav.filter.act(bias_drift.look(self.nav.filter), self.nav.told)
+                self.nav.filter.act(bias_drift.look(self.nav.filter), self.nav.on_event)
         return kernels.NEXT if why in GOES_ON else why
 
     def _hearing(self) -> Hearing:
@@ -263,14 +265,14 @@ class BatchRunner:
         ears = np.zeros((len(self._channels), open_loop_residual.EAR))
         for i, channel in enumerate(self._channels):
             ears[i] = learning.ear(channel.name)
-        return learning.fed_back, ears, np.array([channel.places for channel in self._channels]), self._opened
+        return learning.feedback, ears, np.array([channel.places for channel in self._channels]), self._opened
 
     def _heed(self) -> None:
         """Act on what the kernel has come upon in the samples."""
-        filter, told = self.nav.filter, self.nav.told
-        filter.feel(told)
-        if filter.monitor.has_news(filter.memory.monitor):
-            filter.check_imu(told)
+        filter, told = self.nav.filter, self.nav.on_event
+        filter.correct_stationary(told)
+        if filter.monitor.has_findings(filter.memory.monitor):
+            filter.act_on_imu(told)
 
     def _call(self) -> int:
         filter, given = self.nav.filter, self._readings
@@ -348,7 +350,7 @@ class BatchRunner:
         interval_s = math.inf if tape is None else tape.interval_s
         steps, gravity = filter.memory.drv[strapdown.INCREMENTS], filter.vehicle.drive.gravity
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        due = filter.feels_after, bias_drift.due_s(filter)
+        due = filter.stationary_after, bias_drift.due_s(filter)
         return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
     def _output(self, cursor: Ints) -> Output:
@@ -451,10 +453,10 @@ class Rerun(BatchRunner):
         self._good[self._frozen[self._begin : self._end]] = False  # learning wants to hear of that
 
     def _feed(self, samples: Array) -> None:
-        self.nav.feed(samples)
+        self.nav.process(samples)
 
     def _correct(self, at: int) -> None:
-        self.nav.feed(self._reading(at))
+        self.nav.process(self._reading(at))
 
     def _reading(self, at: int, frozen: bool = False) -> Measurement:
         return super()._reading(at, bool(self._frozen[at]))

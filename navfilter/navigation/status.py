@@ -116,7 +116,7 @@ def health_of(
         axes,
         Bounds(float(radius_m), float(heading_rad)),
         protection_level.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
-        filter.monitor.carrier(memory.monitor),
+        filter.monitor.propagation(memory.monitor),
         clock.memory.offset_s,
         learning,
     )

@@ -34,7 +34,7 @@ class MeasurementQueue:
         """When the first is to be taken [s]; infinite where none waits."""
         return self.readings[0].time_s if self.readings else math.inf
 
-    def due(self, time_s: float) -> list[Measurement]:
+    def take_due(self, time_s: float) -> list[Measurement]:
         """Those to be taken by this time, which wait no more."""
         ready = [reading for reading in self.readings if reading.time_s <= time_s]
         del self.readings[: len(ready)]

@@ -130,7 +130,7 @@ def replay_heard(
         track = replayed_lanes(vehicle, mission, start, output_rate_hz, smooth=smooth, progress=False)
         return track, residual_series(vehicle, mission, sensors, start) if sensors else {}
     track, nav = _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), False, sensors)
-    return track, {name: nav.heard(name) for name in sensors}
+    return track, {name: nav.residuals(name) for name in sensors}
 
 
 def _replayed(
@@ -291,7 +291,7 @@ def residual_series(
     names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
     _listen(nav, mission, names)
     _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
-    return {name: nav.heard(name) for name in names}
+    return {name: nav.residuals(name) for name in names}
 
 
 def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -> Navigator:
@@ -316,7 +316,7 @@ def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
     """To these sensors over a whole mission."""
     for name in names:
         span = mission.duration_s + 2.0 * nav.filter.AHEAD_S
-        nav.listen(name, max(1, int(span * nav.vehicle.sensors[name].rate_hz * 1.2) + 16))
+        nav.record_residuals(name, max(1, int(span * nav.vehicle.sensors[name].rate_hz * 1.2) + 16))
 
 
 def learns(vehicle: Vehicle) -> bool:

@@ -148,7 +148,7 @@ class ImuClockMonitor:
         counts = {"late": memory.late, "burst": memory.bursts.count, "moved": memory.moved}
         return {name: count for name, count in counts.items() if count}
 
-    def take(self, samples: Array) -> list[Array | ReceivedMeasurement]:
+    def check_samples(self, samples: Array) -> list[Array | ReceivedMeasurement]:
         """What goes on now, when these samples have arrived; their first column is changed in place."""
         if not (self._live and len(samples)):
             return [samples]
@@ -214,7 +214,7 @@ class ImuClockMonitor:
             return self._released()
         return self._told()
 
-    def hear(self, reading: ReceivedMeasurement) -> list[Array | ReceivedMeasurement] | None:
+    def check_reading(self, reading: ReceivedMeasurement) -> list[Array | ReceivedMeasurement] | None:
         """What goes on now, when this reading has arrived: nothing where it waits; None for the reading itself."""
         told = self.memory.ahead.get(reading.name)
         known_s = max(self.memory.heard_s, self.memory.last_s)
@@ -340,7 +340,7 @@ class ImuClockMonitor:
         memory.alone, memory.together = 0, 0
         return result
 
-    def go_on(self, memory: DriveClockMemory) -> None:
+    def restore(self, memory: DriveClockMemory) -> None:
         """Be where another was.
 
         Raises
@@ -364,7 +364,7 @@ class ImuClockMonitor:
         self._bursts.go_on(memory.bursts)
         self.memory = memory
 
-    def rest(self) -> Iterable[Array | ReceivedMeasurement]:
+    def flush(self) -> Iterable[Array | ReceivedMeasurement]:
         """What still waits when no more comes, as it is."""
         first = self._bursts.rest()
         items: list[Array | ReceivedMeasurement] = self._taken(first) if len(first) else []

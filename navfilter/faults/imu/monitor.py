@@ -86,7 +86,7 @@ class ImuMonitor:
             return np.sqrt(white)
         return np.sqrt(white + np.array([_quick(model, self._period_s) for model in drive.models]) / WHITE)
 
-    def fresh(self) -> Array:
+    def initial_memory(self) -> Array:
         """What it remembers before the first sample."""
         w = np.zeros((kernel.UNIT + 1, kernel.COLUMNS))
         w[:6, kernel.REPEATS], w[:6, kernel.QUANTUM] = 1.0, np.inf
@@ -95,7 +95,7 @@ class ImuMonitor:
             w[:6, [kernel.CODE, kernel.HEEDED]] = kernel.SATURATED
         return w if self.active else w[:0]
 
-    def look(self, samples: Array, w: Array, sd: Array) -> int:
+    def check_samples(self, samples: Array, w: Array, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them.
 
         Parameters
@@ -109,7 +109,7 @@ class ImuMonitor:
         """
         return kernel.look(samples, w, sd, self.limits, self._period_s, self._increments)
 
-    def stand_in(self, samples: Array, memory: FilterMemory, said_s: float) -> Iterator[Action]:
+    def replace_missing(self, samples: Array, memory: FilterMemory, said_s: float) -> Iterator[Action]:
         """Values for samples that are missing: no rate, and the force at rest. No axis is good until it has been heard
         again for ``RECOVERS_S``.
 
@@ -135,7 +135,7 @@ class ImuMonitor:
         if self._increments:
             samples[:, 4:] *= samples[:, :1]
 
-    def weigh(self, w: Array, C: Array, r: Array, output: Array) -> None:
+    def set_imu_noise(self, w: Array, C: Array, r: Array, output: Array) -> None:
         """Error models of the axes as they are believed now: `output` (6, k + 1) from C (6, errors) and r (6,).
 
         A value that stands for nothing read has no bias, but all the noise of the unknown.
@@ -227,7 +227,7 @@ class ImuMonitor:
             result[:3] = 0.5 * seconds * along
         return result
 
-    def lost(self, w: Array) -> bool:
+    def has_excluded(self, w: Array) -> bool:
         """Whether something else stands in place of what an axis says."""
         if self.active:
             for axis in range(kernel.UNIT):
@@ -235,23 +235,23 @@ class ImuMonitor:
                     return True
         return False
 
-    def left_out(self, w: Array) -> list[str]:
+    def excluded_axes(self, w: Array) -> list[str]:
         """Names of the axes that something else stands in for."""
         heeded = w[: kernel.UNIT, kernel.HEEDED].tolist()
         return [name for name, code in zip(self.axes, heeded, strict=False) if code > kernel.NOISY]
 
-    def stood_in_s(self, w: Array) -> float:
+    def replaced_s(self, w: Array) -> float:
         """So long ago what is left out may have begun to be wrong, or was looked at last [s]."""
         lost = w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY
         return FOUND_S + kernel.JUDGED_S + float(w[: kernel.UNIT, kernel.BEGAN_S][lost].max(initial=0.0))
 
     def lane(self, w: Array) -> str:
         """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
-        return "inertial" if self.active and not self.lost(w) else "dead-reckoning"
+        return "inertial" if self.active and not self.has_excluded(w) else "dead-reckoning"
 
     def busy(self, w: Array) -> bool:
         """Whether an axis is left out, or soon will be."""
-        return self.active and (w.item(kernel.UNIT, kernel.OFF_S) > 0.0 or self.lost(w))
+        return self.active and (w.item(kernel.UNIT, kernel.OFF_S) > 0.0 or self.has_excluded(w))
 
     def conditions(self, w: Array) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""

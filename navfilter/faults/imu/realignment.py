@@ -82,7 +82,7 @@ def after_fault(filter: FilterState) -> Iterator[Action]:
     level = _level(filter)
     if level is not None and level.knows_better:
         yield from set_anew(filter)
-    yield Announce(SamplesReplaced(filter.monitor.imu_monitor.stood_in_s(filter.memory.monitor.imu)))
+    yield Announce(SamplesReplaced(filter.monitor.imu_monitor.replaced_s(filter.memory.monitor.imu)))
 
 
 def tilted(filter: FilterState, channel: Channel, time_s: float) -> bool:

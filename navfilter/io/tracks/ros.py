@@ -213,7 +213,7 @@ def _diagnostics(track: Track) -> Iterator[tuple[int, Any]]:
         for name, watch in watches.items():
             while (reading := coming[name]) is not None and reading[0] <= now_s:
                 time_s, outcome, nis, dof = reading
-                watch.note(outcome, time_s, nis, dof)
+                watch.on_outcome(outcome, time_s, nis, dof)
                 coming[name] = next(heard[name], None)
         stamp = int(utc.nanoseconds(np.array([now_s]), track.epoch_utc_s)[0])
         statuses = [_status(name, watch.health(now_s)) for name, watch in watches.items()]

@@ -52,7 +52,7 @@ def choice_of(vehicle: Vehicle, start_s: float) -> LaneChoice:
 def begin_anew(nav: Navigator, source: Navigator) -> Transplant:
     """Begin a lane anew from the state of another; what it knows of its own unit's samples stays."""
     new = transplant(source.filter, nav.filter)
-    nav.filter.recall(new.memory)
+    nav.filter.restore(new.memory)
     rest = nav.learning.memory.rest
     fresh = LearningSchedule(nav.filter, nav.learning.behind_s)
     fresh.adopted_by_hand()
@@ -74,7 +74,7 @@ class LaneNavigator(NavigatorStatus):
     Attributes
     ----------
     lanes : dict of str to Navigator
-    choice : LaneChoice
+    lane_choice : LaneChoice
 
     Raises
     ------
@@ -112,18 +112,18 @@ class LaneNavigator(NavigatorStatus):
         for run in self.lanes.values():
             # a unit whose clock goes wrong is left for another
             run.clock = ImuClockMonitor(run.vehicle.drive.period_s, live=False)
-        self.choice = choice_of(vehicle, start.time_s)
+        self.lane_choice = choice_of(vehicle, start.time_s)
         # where there is no other unit, its clock is held against that of the readings; a late one is not waited for
         period_s = next(iter(vehicle.units.values())).period_s
         self.clock = ImuClockMonitor(period_s, live=len(vehicle.units) == 1)
         self._names, self._runs = tuple(self.lanes), tuple(self.lanes.values())
         self._units = {name: i for i, name in enumerate(vehicle.units)}
-        self._coasting = self.lanes.get(DEAD_RECKONING)
-        self._sensors = {name: i for i, name in enumerate(self.choice.names)}
+        self._dead_reckoning = self.lanes.get(DEAD_RECKONING)
+        self._sensors = {name: i for i, name in enumerate(self.lane_choice.names)}
         self._ticks = self._levels = 1
         self._ahead_s = -math.inf
         names = list(vehicle.sensors)
-        self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
+        self._later_sensors = {name: names[i + 1 :] for i, name in enumerate(names)}
         self.history = History(self, length_s, names) if length_s else None
 
     # ---------------------------------------------------------------- what comes in
@@ -157,20 +157,20 @@ class LaneNavigator(NavigatorStatus):
         if not len(samples):
             return
         if len(self._units) > 1:
-            self._pass_on(samples)
+            self._queue_samples(samples)
             return
-        for item in self.clock.take(samples[:, :7].copy()):
-            self._go_on(item)
+        for item in self.clock.check_samples(samples[:, :7].copy()):
+            self._process_item(item)
 
-    def _go_on(self, item: Array | ReceivedMeasurement) -> Outcome | None:
+    def _process_item(self, item: Array | ReceivedMeasurement) -> Outcome | None:
         if isinstance(item, ReceivedMeasurement):
-            return self._place(item)
-        self._pass_on(np.column_stack([item, np.zeros(len(item))]))
+            return self._correct_in_order(item)
+        self._queue_samples(np.column_stack([item, np.zeros(len(item))]))
         return None
 
-    def _pass_on(self, samples: Array) -> None:
+    def _queue_samples(self, samples: Array) -> None:
         if len(samples):
-            (self if self.history is None else self.history).feed(samples)
+            (self if self.history is None else self.history).process(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
         """Correct all lanes with a reading of a named sensor, see `Navigator.correct`.
@@ -186,53 +186,53 @@ class LaneNavigator(NavigatorStatus):
             z, stamp_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, stamp_s = np.full(1, np.nan), math.nan
-        if (held := self.clock.hear(arrived := ReceivedMeasurement(name, stamp_s, z, sd))) is not None:
-            return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
-        return self._place(arrived)
+        if (held := self.clock.check_reading(arrived := ReceivedMeasurement(name, stamp_s, z, sd))) is not None:
+            return [Outcome("waiting"), *(self._process_item(item) for item in held)][-1] or Outcome("waiting")
+        return self._correct_in_order(arrived)
 
-    def _place(self, arrived: ReceivedMeasurement) -> Outcome:
+    def _correct_in_order(self, arrived: ReceivedMeasurement) -> Outcome:
         name, stamp_s, z, sd = arrived
         taken_s = stamp_s + self.offset_s - self.vehicle.sensors[name].time_offset_s
         # the stamp goes along: every lane has a clock of its own
         reading = Measurement(name, taken_s, z, (stamp_s, sd), False)
         if self.history is None:
-            return self._read(reading)
+            return self._correct_lanes(reading)
         channels = self.believed.filter.channels
-        overtaken = any(channels[other].memory.last_s == taken_s for other in self._behind[name])
+        overtaken = any(channels[other].memory.last_s == taken_s for other in self._later_sensors[name])
         if not (taken_s < self.time_s - 1e-7 or overtaken):
-            outcome = self.history.feed(reading)
+            outcome = self.history.process(reading)
             assert outcome is not None
             return outcome
         doubt = any(run.filter.intake.in_doubt for run in self._runs)
-        late = None if doubt or taken_s < self.start.time_s - 1e-9 else self.history.late(reading)
+        late = None if doubt or taken_s < self.start.time_s - 1e-9 else self.history.correct_late(reading)
         if late is None:
             return Outcome("too-late")
         return late._replace(status="late-replayed") if late.status == "used" else late
 
     def finish(self) -> None:
         """Take the readings that still wait: no more samples come."""
-        for item in self.clock.rest():
-            self._go_on(item)
+        for item in self.clock.flush():
+            self._process_item(item)
         for run in self._runs:
             run.finish()
 
     # ---------------------------------------------------------------- in order
-    def feed(self, item: Array | Measurement) -> Outcome | None:
+    def process(self, item: Array | Measurement) -> Outcome | None:
         """Give samples or a reading, in order, to the lanes; users call `step` and `correct`."""
         if not isinstance(item, np.ndarray):
-            return self._read(item)
+            return self._correct_lanes(item)
         if self._ahead_s > -math.inf and (item[:, 0] + self.offset_s > self.time_s + AHEAD_S).any():
             self._ahead_s = -math.inf  # the units do speak: what has leapt is the clock of all
         while len(item):
             beyond = item[:, 0] + self.offset_s > self._edge_s
             n = int(np.argmax(beyond)) if beyond.any() else len(item)
-            if not n and not self._come_to(float(item[0, 0]) + self.offset_s):
+            if not n and not self._decide_until(float(item[0, 0]) + self.offset_s):
                 n = 1  # a stamp from nowhere: the lane itself has to say what it is worth
-            self._carry(item[:n])
+            self._propagate(item[:n])
             item = item[n:]
         return None
 
-    def _carry(self, samples: Array) -> None:
+    def _propagate(self, samples: Array) -> None:
         if not len(samples):
             return
         for name, number in self._units.items():
@@ -240,26 +240,26 @@ class LaneNavigator(NavigatorStatus):
             if len(mine):
                 self.lanes[name].step_samples(mine)
         now_s = max(self.lanes[name].time_s for name in self._units)
-        self._coast(now_s)
-        self._come_to(now_s)
+        self._propagate_dead_reckoning(now_s)
+        self._decide_until(now_s)
 
-    def _come_to(self, time_s: float) -> bool:
+    def _decide_until(self, time_s: float) -> bool:
         """Compare the lanes as often as is due before a time, and begin those anew that are doubted; whether it is a
         time that can be.
         """
         if not time_s <= self.time_s + AHEAD_S:
             return False
         while (edge_s := self._edge_s) < time_s:
-            self.choice.decide_until(edge_s, behind=True)
-            for lane in self.choice.to_begin_anew():
+            self.lane_choice.decide_until(edge_s, behind=True)
+            for lane in self.lane_choice.due_restarts():
                 begin_anew(self._runs[lane], self.believed)
-                self.choice.begun_anew(lane)
-        self.choice.decide_until(time_s)
+                self.lane_choice.on_restart(lane)
+        self.lane_choice.decide_until(time_s)
         return True
 
-    def _coast(self, until_s: float) -> None:
+    def _propagate_dead_reckoning(self, until_s: float) -> None:
         """Carry the lane without a unit on."""
-        run = self._coasting
+        run = self._dead_reckoning
         if run is None:
             return
         for level_s in [*level_times(self.start, self._levels, until_s), math.nan]:
@@ -273,29 +273,29 @@ class LaneNavigator(NavigatorStatus):
                 run.correct(LEVEL, here_s, UPRIGHT)
                 self._levels += 1
 
-    def _read(self, reading: Measurement) -> Outcome:
+    def _correct_lanes(self, reading: Measurement) -> Outcome:
         stamp_s, sd = reading.sd
         offset_s = self.offset_s
-        if self._come_to(reading.time_s):
+        if self._decide_until(reading.time_s):
             self._ahead_s = -math.inf
-            self._coast(reading.time_s)
+            self._propagate_dead_reckoning(reading.time_s)
         elif self._agreed(reading.time_s):
-            self._coast(reading.time_s)
+            self._propagate_dead_reckoning(reading.time_s)
         believed, result = self.believed, None
         sensor = self._sensors.get(reading.name)
         for i, run in enumerate(self._runs):
-            shift = offset_s if run is self._coasting else 0.0
+            shift = offset_s if run is self._dead_reckoning else 0.0
             outcome = run.correct(reading.name, stamp_s + shift, reading.value, sd)
             if sensor is not None and outcome.dof:
                 note = run.filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
                 foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
-                self.choice.hear(
+                self.lane_choice.compare(
                     i,
                     sensor,
                     reading.time_s,
                     *foretold,
-                    run.filter.monitor.is_lost(run.filter.memory.monitor),
+                    run.filter.monitor.has_excluded(run.filter.memory.monitor),
                 )
             if run is believed:
                 result = outcome
@@ -307,32 +307,34 @@ class LaneNavigator(NavigatorStatus):
         since_s = time_s - self._ahead_s
         if not 0.0 <= since_s <= AHEAD_S:
             self._ahead_s = time_s
-        return self._coasting is not None and 0.5 * AHEAD_S <= since_s <= AHEAD_S
+        return self._dead_reckoning is not None and 0.5 * AHEAD_S <= since_s <= AHEAD_S
 
     # ---------------------------------------------------------------- what is known
     @property
     def believed(self) -> Navigator:
         """The lane in force."""
-        return self._runs[self.choice.memory.lane]
+        return self._runs[self.lane_choice.memory.lane]
 
     @property
     def memory(self) -> LanesMemory:
         """Everything that changes in order; setting one goes back (or on) to it."""
-        lanes = {name: LaneMemory(run.memory, run.watches, run.waiting.readings) for name, run in self.lanes.items()}
-        return LanesMemory(lanes, self.choice.memory, self._ticks, self._levels, self._ahead_s)
+        lanes = {
+            name: LaneMemory(run.memory, run.sensor_monitors, run.queue.readings) for name, run in self.lanes.items()
+        }
+        return LanesMemory(lanes, self.lane_choice.memory, self._ticks, self._levels, self._ahead_s)
 
     @memory.setter
     def memory(self, memory: LanesMemory) -> None:
         for name, run in self.lanes.items():
             lane = memory.lanes[name]
-            run.watches, run.waiting.readings, run.memory = lane.watches, lane.waiting, lane.run
-        self.choice.memory = memory.choice
+            run.sensor_monitors, run.queue.readings, run.memory = lane.watches, lane.waiting, lane.run
+        self.lane_choice.memory = memory.choice
         self._ticks, self._levels, self._ahead_s = memory.ticks, memory.levels, memory.ahead_s
 
     @property
     def _edge_s(self) -> float:
         """When lanes may begin anew next [s]."""
-        return edge_after(self.choice.compared_s)
+        return edge_after(self.lane_choice.compared_s)
 
     @property
     def time_s(self) -> float:
@@ -378,22 +380,22 @@ class LaneNavigator(NavigatorStatus):
         return self._health_of(self.believed.filter.state)
 
     def _health_of(self, state: NavState) -> Health:
-        run, name = self.believed, self._names[self.choice.memory.lane]
-        watches = {key: watch for key, watch in run.watches.items() if key != LEVEL}
+        run, name = self.believed, self._names[self.lane_choice.memory.lane]
+        watches = {key: watch for key, watch in run.sensor_monitors.items() if key != LEVEL}
         health = health_of(run.filter, watches, self.clock, run.learning.worker.health, state)
         lanes = dict(self._lane_health())
         trust = health.trust
         doubts = [
             f"the lane of {key} is {lane.condition}" for key, lane in lanes.items() if lane.condition == "doubted"
         ]
-        doubts += ["no inertial unit is in force"] if run is self._coasting else []
+        doubts += ["no inertial unit is in force"] if run is self._dead_reckoning else []
         if trust is not None and doubts:
             trust = Trust("lost" if trust.level == "lost" else "degraded", (*trust.reasons, *doubts))
-        return dataclasses.replace(health, lane=name, lane_reason=self.choice.reason, lanes=lanes, trust=trust)
+        return dataclasses.replace(health, lane=name, lane_reason=self.lane_choice.reason, lanes=lanes, trust=trust)
 
     def _lane_health(self) -> Iterator[tuple[str, LaneHealth]]:
-        memory = self.choice.memory
-        gain, nis = (values.tolist() for values in self.choice.means())
+        memory = self.lane_choice.memory
+        gain, nis = (values.tolist() for values in self.lane_choice.means())
         for i, (name, run) in enumerate(self.lanes.items()):
             condition = "in-force" if i == memory.lane else "doubted" if memory.doubted[i] else "ready"
             if name in self._units and self.time_s - run.time_s > AHEAD_S:
@@ -406,7 +408,7 @@ class LaneNavigator(NavigatorStatus):
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
         """Everything that is needed to go on, to the last bit, see `Navigator.snapshot`."""
-        memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
+        memory, inputs = (self.memory, []) if self.history is None else self.history.content()
         for lane in memory.lanes.values():
             lane.run = lane.run.whole()
         length_s = 0.0 if self.history is None else self.history.length_s
@@ -418,25 +420,25 @@ class LaneNavigator(NavigatorStatus):
         """Go on from a snapshot, see `Navigator.restore`."""
         saved = snapshots.read(vehicle, source, (*MEMORY, LanesMemory, LaneMemory, LaneChoiceMemory))
         try:
-            return cls._revived(vehicle, saved)
+            return cls._resumed(vehicle, saved)
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise snapshots.unreadable(error) from error
 
     @classmethod
-    def _revived(cls, vehicle: Vehicle, saved: Any) -> LaneNavigator:
+    def _resumed(cls, vehicle: Vehicle, saved: Any) -> LaneNavigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
         memory: LanesMemory = saved.memory
         for name, run in nav.lanes.items():
-            run.revive(memory.lanes[name].run)
+            run.resume(memory.lanes[name].run)
         problem = misfit(memory, nav.memory, "memory")
         if problem or not 0 <= memory.choice.lane < len(nav.lanes):
             raise ValueError(problem or "memory.choice.lane is none")
         nav.memory = memory
-        nav.clock.go_on(saved.clock)
+        nav.clock.restore(saved.clock)
         for item in saved.inputs:
             if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 8):
                 raise ValueError(f"inputs must be rows of eight numbers, found shape {item.shape}")
             if nav.history is None:
                 raise ValueError("it has inputs without a history")
-            nav.history.feed(item)
+            nav.history.process(item)
         return nav

@@ -117,9 +117,9 @@ class LaneReplay:
                 lane.run_until(now_s, progress)
             self._compare(now_s)
             if now_s < self._end_s:
-                for number in self.choice.to_begin_anew():
+                for number in self.choice.due_restarts():
                     self.lanes[number].begin_anew(self.believed, Tape(self._rate_hz, smoothable=self._smooth))
-                    self.choice.begun_anew(number)
+                    self.choice.on_restart(number)
         for lane in self.lanes:
             lane.nav.finish()
 
@@ -135,7 +135,7 @@ class LaneReplay:
         changes = []
         for time_s, number, sensor, foretold in heard:
             changes += self.choice.decide_until(time_s)
-            self.choice.hear(number, sensor, time_s, *foretold)
+            self.choice.compare(number, sensor, time_s, *foretold)
         if until_s < self._end_s:
             changes += self.choice.decide_until(until_s, behind=True)
         self.changes += [(time_s, self.lanes[number].name) for time_s, number, _ in changes]
@@ -186,7 +186,7 @@ class _Lane:
     def _left_out(self) -> set[str]:
         """Axes of its unit that something else stands in for, now."""
         filter = self.nav.filter
-        return set(filter.monitor.left_out(filter.memory.monitor))
+        return set(filter.monitor.excluded_axes(filter.memory.monitor))
 
     def _carried(self) -> tuple[list[float], list[bool]]:
         """From when on [s] something stood in for an axis of its unit, and from when on nothing."""
