@@ -1,5 +1,4 @@
-"""Compiled functions on arrays: they import only math, numpy and numba, the decorators that they are compiled by
-(`decorators.py`), and `checksum` where they call each other.
+"""Compiled functions on arrays: they import only math, numpy, numba, each other, and what compiles them (`compiling`).
 
 Those that allocate nothing are compiled with ``_nrt=False`` (`UNCOUNTED`): numba does not count references to arrays in
 them, which took a third of a replay, for a slice of an array is counted twice, each time by an atomic instruction. Such
@@ -8,36 +7,13 @@ a kernel must not return an array. What it calls is compiled in the same way unl
 A kernel that cannot be kept, for the disk is full, has been compiled all the same, and goes on from memory.
 """
 
-import hashlib
 import warnings
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from numba.core.caching import Cache
 
-__all__ = ["checksum"]
-
-
-def checksum(*modules: ModuleType) -> str:
-    """Of the source of modules: what a kernel encloses whose callees stand in them, so that numba's cache knows when
-    they change.
-
-    Parameters
-    ----------
-    *modules : module
-
-    Returns
-    -------
-    str
-        Hexadecimal.
-    """
-    found = hashlib.sha256()
-    for module in modules:
-        assert module.__file__ is not None
-        found.update(Path(module.__file__).read_bytes())
-    return found.hexdigest()
+__all__: list[str] = []
 
 
 def _kept_or_said(save: Callable[..., None]) -> Callable[..., None]:

@@ -1,14 +1,12 @@
 """Readings of a sensor whose place or clock is not known for certain: how the vehicle has moved of late, and what the
 sensor would have read then.
-
-The kernels call those of other files by name or address; why each encloses `SOURCES`, see `navfilter.kernels.batch`.
 """
 
 import math
 
 import numpy as np
 
-from navfilter.kernels import checksum, measurement, strapdown
+from navfilter.kernels import measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import LANES, all_of, eight, if_below, load, put, store, times
@@ -16,7 +14,6 @@ from navfilter.kernels.compiling.registers import LANES, all_of, eight, if_below
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 
-SOURCES = checksum(addresses, measurement, strapdown)
 #: Rates and forces are means over this time: what vibrates faster is no motion [s].
 WINDOW_S = 0.2
 #: Slopes are means over this time at least: what is faster, a car on its springs or noise, tells no clock [s].
@@ -45,543 +42,450 @@ ROOM = 149
 ARM, CLOCK, TURNS, SHARED, BY_ARM = range(5)
 
 
-def _keyed(make):
-    """The kernel that `make` makes when it is handed the checksum."""
-    return make(SOURCES)
+@apart
+@njit(cache=True, **UNCOUNTED)
+def drive_outputs(drv, Cr, xd, rows, errors):
+    """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
+
+    Those of its error models are in `Cr`; scale and misalignment act on the last sample, as if it had no errors.
+    """
+    k, elements = len(xd), int(drv[strapdown.CALIBRATED])
+    per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+    whole = flat(rows)
+    for i in range(whole.size):
+        whole[i] = 0.0
+    for i in range(6):
+        s = 0.0
+        for j in range(k - elements):
+            if Cr[i, j] != 0.0:
+                rows[i, j] = Cr[i, j]
+                s += Cr[i, j] * xd[j]
+        errors[i] = s
+    for q in range(elements):
+        element, j = int(drv[strapdown.ELEMENTS + q]), k - elements + q
+        channel = strapdown.OF_READING[element]
+        rows[channel, j] = drv[strapdown.PREVIOUS + strapdown.BY_AXIS[element]] / per
+        errors[channel] += rows[channel, j] * xd[j]
 
 
-@_keyed
-def drive_outputs(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def drive_outputs(drv, Cr, xd, rows, errors):
-        """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
-
-        Those of its error models are in `Cr`; scale and misalignment act on the last sample, as if it had no errors.
-        """
-        _ = sources
-        k, elements = len(xd), int(drv[strapdown.CALIBRATED])
-        per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
-        whole = flat(rows)
-        for i in range(whole.size):
-            whole[i] = 0.0
-        for i in range(6):
-            s = 0.0
-            for j in range(k - elements):
-                if Cr[i, j] != 0.0:
-                    rows[i, j] = Cr[i, j]
-                    s += Cr[i, j] * xd[j]
-            errors[i] = s
-        for q in range(elements):
-            element, j = int(drv[strapdown.ELEMENTS + q]), k - elements + q
-            channel = strapdown.OF_READING[element]
-            rows[channel, j] = drv[strapdown.PREVIOUS + strapdown.BY_AXIS[element]] / per
-            errors[channel] += rows[channel, j] * xd[j]
-
-    return drive_outputs
+@njit(cache=True, inline="always")
+def _without_errors(felt, last, errors, work):
+    """An interval of `inertial_motion` without errors: those of the last sample, and by how much this one errs
+    otherwise, as the unit is not calibrated. work: an interval, then six columns of M.
+    """
+    store(work, 0, felt - last)
+    for j in range(6):
+        errors = errors + times(load(work, 1 + j), all_of(work[0, 2 + j]))
+    return felt - errors
 
 
-@_keyed
-def _without_errors(sources):
-    @njit(cache=True, inline="always")
-    def _without_errors(felt, last, errors, work):
-        """An interval of `inertial_motion` without errors: those of the last sample, and by how much this one errs
-        otherwise, as the unit is not calibrated. work: an interval, then six columns of M.
-        """
-        _ = sources
-        store(work, 0, felt - last)
-        for j in range(6):
-            errors = errors + times(load(work, 1 + j), all_of(work[0, 2 + j]))
-        return felt - errors
+@njit(cache=True, **UNCOUNTED)
+def inertial_motion(recent, nav, drv, errors, rows, gravity):
+    """Rates and forces of an inertial unit by the trapezoidal rule; the last sample holds since.
 
-    return _without_errors
-
-
-@_keyed
-def inertial_motion(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def inertial_motion(recent, nav, drv, errors, rows, gravity):
-        """Rates and forces of an inertial unit by the trapezoidal rule; the last sample holds since.
-
-        recent (k, 7): the last samples, the newest first, see `navfilter.filter.filter_memory`; errors (6,) of the last
-        one. Fills rows (k + 1, 7), intervals, the newest first: seconds (0: nothing known), angular rate and specific
-        force in b; and gravity (1,), 0 where the forces are accelerations.
-        """
-        _ = sources
-        k, steps = recent.shape[0], drv[strapdown.INCREMENTS] != 0.0
-        per = drv[strapdown.PERIOD_S] if steps else 1.0
-        # eight numbers: the last of the interval before, seconds, rates and forces
-        work, of, to = scratch(np.float64, int(10), LANES), flat(recent), flat(rows)
-        for i in range(10):
-            store(work, i, all_of(0.0))
-        for c in (0, 3):
-            for i in range(3):
-                for j in range(3):
-                    work[1 + c + j, 2 + c + i] = drv[strapdown.CALIBRATION + 3 * (c + i) + j]
-        for j in range(6):
-            work[7, 2 + j], work[8, 2 + j] = drv[strapdown.PREVIOUS + j] / per, errors[j]
-        last, wrong = load(work, 7), load(work, 8)
-        for i in range(k - 1, -1, -1):
-            if i == 0:
-                for j in range(7):
-                    work[9, 1 + j] = recent[0, j]
-            felt = eight(of, 7 * i - 1) if i > 0 else load(work, 9)
-            if steps:
-                felt = felt / all_of(recent[i, 0] if recent[i, 0] > 0.0 else 1.0)
-            elif i + 1 < k and recent[i + 1, 0] > 0.0:
-                felt = all_of(0.5) * (felt + eight(of, 7 * i + 6))
-            put(to, 7 * i + 6, _without_errors(felt, last, wrong, work))
-            rows[1 + i, 0] = recent[i, 0]
-        store(work, 9, _without_errors(last, last, wrong, work))
-        rows[0, 0] = drv[strapdown.HELD_S]
-        for j in range(6):
-            rows[0, 1 + j] = work[9, 2 + j]
-        gravity[0] = strapdown.gravity(nav[0], nav[2])
-
-    return inertial_motion
-
-
-@_keyed
-def reckoned_motion(sources):
-    @njit(cache=True)
-    def reckoned_motion(recent, nav, drv, errors, rows, gravity):
-        """As `inertial_motion`, of dead reckoning: turns and changes of the velocity from reading to reading; before
-        them the newest goes on, and since what is held. The forces are accelerations.
-        """
-        _ = sources
-        for i in range(rows.shape[0]):
+    recent (k, 7): the last samples, the newest first, see `navfilter.filter.filter_memory`; errors (6,) of the last
+    one. Fills rows (k + 1, 7), intervals, the newest first: seconds (0: nothing known), angular rate and specific
+    force in b; and gravity (1,), 0 where the forces are accelerations.
+    """
+    k, steps = recent.shape[0], drv[strapdown.INCREMENTS] != 0.0
+    per = drv[strapdown.PERIOD_S] if steps else 1.0
+    # eight numbers: the last of the interval before, seconds, rates and forces
+    work, of, to = scratch(np.float64, int(10), LANES), flat(recent), flat(rows)
+    for i in range(10):
+        store(work, i, all_of(0.0))
+    for c in (0, 3):
+        for i in range(3):
+            for j in range(3):
+                work[1 + c + j, 2 + c + i] = drv[strapdown.CALIBRATION + 3 * (c + i) + j]
+    for j in range(6):
+        work[7, 2 + j], work[8, 2 + j] = drv[strapdown.PREVIOUS + j] / per, errors[j]
+    last, wrong = load(work, 7), load(work, 8)
+    for i in range(k - 1, -1, -1):
+        if i == 0:
             for j in range(7):
-                rows[i, j] = 0.0
-        gravity[0] = 0.0
-        count = 0
-        for i in range(recent.shape[0]):
-            count += recent[i, 0] != 0.0
-        M, u, gained = drv[strapdown.MOUNTING : strapdown.MOUNTING + 9], np.empty(3), np.empty(3)
-        for i in range(3):
-            u[i] = nav[6 + i] * nav[3] + nav[9 + i] * nav[4] + nav[12 + i] * nav[5]
-        for i in range(count - 1):
-            now, before, row = recent[i], recent[i + 1], rows[1 + i]
-            for j in range(3):
-                angle = now[1 + j] - before[1 + j] + math.pi
-                row[1 + j] = angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi)) - math.pi
+                work[9, 1 + j] = recent[0, j]
+        felt = eight(of, 7 * i - 1) if i > 0 else load(work, 9)
+        if steps:
+            felt = felt / all_of(recent[i, 0] if recent[i, 0] > 0.0 else 1.0)
+        elif i + 1 < k and recent[i + 1, 0] > 0.0:
+            felt = all_of(0.5) * (felt + eight(of, 7 * i + 6))
+        put(to, 7 * i + 6, _without_errors(felt, last, wrong, work))
+        rows[1 + i, 0] = recent[i, 0]
+    store(work, 9, _without_errors(last, last, wrong, work))
+    rows[0, 0] = drv[strapdown.HELD_S]
+    for j in range(6):
+        rows[0, 1 + j] = work[9, 2 + j]
+    gravity[0] = strapdown.gravity(nav[0], nav[2])
+
+
+@njit(cache=True)
+def reckoned_motion(recent, nav, drv, errors, rows, gravity):
+    """As `inertial_motion`, of dead reckoning: turns and changes of the velocity from reading to reading; before
+    them the newest goes on, and since what is held. The forces are accelerations.
+    """
+    for i in range(rows.shape[0]):
+        for j in range(7):
+            rows[i, j] = 0.0
+    gravity[0] = 0.0
+    count = 0
+    for i in range(recent.shape[0]):
+        count += recent[i, 0] != 0.0
+    M, u, gained = drv[strapdown.MOUNTING : strapdown.MOUNTING + 9], np.empty(3), np.empty(3)
+    for i in range(3):
+        u[i] = nav[6 + i] * nav[3] + nav[9 + i] * nav[4] + nav[12 + i] * nav[5]
+    for i in range(count - 1):
+        now, before, row = recent[i], recent[i + 1], rows[1 + i]
+        for j in range(3):
+            angle = now[1 + j] - before[1 + j] + math.pi
+            row[1 + j] = angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi)) - math.pi
+            gained[j] = 0.0
+            for r in range(3):
+                gained[j] += M[3 * j + r] * (now[4 + r] - before[4 + r])
+            if not abs(gained[j]) <= drv[strapdown.MAX_SPEED]:
                 gained[j] = 0.0
-                for r in range(3):
-                    gained[j] += M[3 * j + r] * (now[4 + r] - before[4 + r])
-                if not abs(gained[j]) <= drv[strapdown.MAX_SPEED]:
-                    gained[j] = 0.0
-            roll, pitch, yaw = row[1], row[2], row[3]
-            sr, cr, sp, cp = math.sin(now[1]), math.cos(now[1]), math.sin(now[2]), math.cos(now[2])
-            x, y, z = roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr
-            row[0] = now[0]
-            row[1], row[2], row[3] = x / now[0], y / now[0], z / now[0]
-            row[4] = row[2] * u[2] - row[3] * u[1] + gained[0] / now[0]
-            row[5] = row[3] * u[0] - row[1] * u[2] + gained[1] / now[0]
-            row[6] = row[1] * u[1] - row[2] * u[0] + gained[2] / now[0]
-        if count > 1:
-            rows[0, 0] = drv[strapdown.HELD_S]
-            x, y, z = drv[strapdown.TURNING], drv[strapdown.TURNING + 1], drv[strapdown.TURNING + 2]
-            rows[0, 1], rows[0, 2], rows[0, 3] = x, y, z
-            rows[0, 4] = y * u[2] - z * u[1] + drv[strapdown.GAINING]
-            rows[0, 5] = z * u[0] - x * u[2] + drv[strapdown.GAINING + 1]
-            rows[0, 6] = x * u[1] - y * u[0] + drv[strapdown.GAINING + 2]
-
-    return reckoned_motion
+        roll, pitch, yaw = row[1], row[2], row[3]
+        sr, cr, sp, cp = math.sin(now[1]), math.cos(now[1]), math.sin(now[2]), math.cos(now[2])
+        x, y, z = roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr
+        row[0] = now[0]
+        row[1], row[2], row[3] = x / now[0], y / now[0], z / now[0]
+        row[4] = row[2] * u[2] - row[3] * u[1] + gained[0] / now[0]
+        row[5] = row[3] * u[0] - row[1] * u[2] + gained[1] / now[0]
+        row[6] = row[1] * u[1] - row[2] * u[0] + gained[2] / now[0]
+    if count > 1:
+        rows[0, 0] = drv[strapdown.HELD_S]
+        x, y, z = drv[strapdown.TURNING], drv[strapdown.TURNING + 1], drv[strapdown.TURNING + 2]
+        rows[0, 1], rows[0, 2], rows[0, 3] = x, y, z
+        rows[0, 4] = y * u[2] - z * u[1] + drv[strapdown.GAINING]
+        rows[0, 5] = z * u[0] - x * u[2] + drv[strapdown.GAINING + 1]
+        rows[0, 6] = x * u[1] - y * u[0] + drv[strapdown.GAINING + 2]
 
 
-@_keyed
-def _by_drive(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def _by_drive(now, then, B, late_s, outputs, u, row):
-        """What errors of rates and forces do to a reading through a state that is carried back by them, into row (k,),
-        by the drive's states; u: derivative of the reading by that state. `B` holds what the forces have gathered
-        (`measurement.earlier`).
-        """
-        _ = sources
+@njit(cache=True, **UNCOUNTED)
+def _by_drive(now, then, B, late_s, outputs, u, row):
+    """What errors of rates and forces do to a reading through a state that is carried back by them, into row (k,),
+    by the drive's states; u: derivative of the reading by that state. `B` holds what the forces have gathered
+    (`measurement.earlier`).
+    """
+    for s in range(len(row)):
+        row[s] = 0.0
+    for j in range(3):
+        by_rate, by_force = 0.0, 0.0
+        for i in range(3):
+            # a tilt that grows on the way back turns the forces: half of what the whole of it would do, a third to
+            # the place
+            pushed, turned = late_s * u[3 + i] - 0.5 * late_s * late_s * u[i], late_s * u[6 + i]
+            for r in range(3):
+                turned += (0.5 * late_s * u[3 + r] - late_s * late_s / 6.0 * u[r]) * B[3 + r, 6 + i]
+            middle = 0.5 * (now[6 + 3 * i + j] + then[6 + 3 * i + j])
+            by_rate, by_force = by_rate + turned * middle, by_force + pushed * middle
         for s in range(len(row)):
-            row[s] = 0.0
+            row[s] += by_rate * outputs[j, s] + by_force * outputs[3 + j, s]
+
+
+@njit(cache=True, **UNCOUNTED)
+def slope_s(variance):
+    """Over what time the slope of a reading is taken whose clock has this variance [s]."""
+    return max(SLOPE_S, SPREAD * math.sqrt(variance))
+
+
+@njit(cache=True, **UNCOUNTED)
+def lately(rows, rate):
+    """Mean of the angular rate (3,) over `WINDOW_S`, of the intervals but for the newest two: those have the noise
+    of the reading that is predicted. rows: see `inertial_motion`.
+    """
+    seconds = 0.0
+    for j in range(3):
+        rate[j] = 0.0
+    for i in range(2, rows.shape[0]):
+        if rows[i, 0] <= 0.0 or seconds >= WINDOW_S:
+            break
+        seconds += rows[i, 0]
         for j in range(3):
-            by_rate, by_force = 0.0, 0.0
+            rate[j] += rows[i, 0] * rows[i, 1 + j]
+    for j in range(3):
+        rate[j] /= max(seconds, 1e-9)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _square(near, column):
+    """Of the length of a column, NaN being components that are missing."""
+    s = 0.0
+    for i in range(near.shape[0]):
+        if not math.isnan(near[i, column]):
+            s += near[i, column] * near[i, column]
+    return s
+
+
+@njit(cache=True, **UNCOUNTED)
+def lanes(count):
+    """So many numbers are as many registers of eight: their elements."""
+    return (count + LANES - 1) // LANES * LANES
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def keep_constants(P, x, at, kept):
+    """Note what is known of constants from `at` on before a reading corrects, for `consider`.
+
+    kept (1 + constants, `lanes` of them): estimates; then their rows of P, from their columns on, or so many from
+    the end.
+    """
+    n, (rows, most), whole, to = P.shape[0], kept.shape, flat(P), flat(kept)
+    first = min(at, n - most)
+    for i in range(rows - 1):
+        kept[0, i] = x[at + i - 9]
+        for j in range(0, most, LANES):
+            put(to, (1 + i) * most + j, eight(whole, (at + i) * n + first + j))
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def consider(P, x, kept, at, untold):
+    """Take back what a reading has told of constants that are only considered (Schmidt, 1966): slopes and
+    correlations with all else stay, and they are known as before. The smoother takes them for constants that walk
+    by as much.
+
+    kept: see `keep_constants`; untold: of the states from `at` on, not 0 for those that are so.
+    """
+    n, most, whole, given = P.shape[0], kept.shape[1], flat(P), flat(kept)
+    first, meant = min(at, n - most), flat(scratch(np.float64, int(1), most))
+    for j in range(most):
+        meant[j] = untold[first + j - at] if 0 <= first + j - at < untold.size else 0.0
+    for i in range(untold.size):
+        if untold[i] == 0.0:
+            continue
+        x[at + i - 9] = kept[0, i]
+        for j in range(0, most, LANES):
+            place, before = (at + i) * n + first + j, eight(given, (1 + i) * most + j)
+            put(whole, place, if_below(all_of(0.0), eight(meant, j), before, eight(whole, place)))
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def withhold(P, x, near, kept, own, at, drv, Cr, untold):
+    """Have a lever arm only considered where its slopes do not stand out of the noise of the gyros.
+
+    A rate that is noise is in the attitude, too, and by gravity in what the next readings show: an arm would be
+    drawn by both, always to the same side.
+
+    near (a, 9 + parameters): slopes, those by the arm from column 9 + own on; at: where the arm stands in P; drv,
+    Cr: the drive's memory, and its white variances in the last column; untold (3,): work. The others: `consider`.
+    """
+    k = Cr.shape[1] - 1
+    if drv[strapdown.INERTIAL] == 0.0:
+        return
+    share = min(1.0, drv[strapdown.PERIOD_S] / WINDOW_S)
+    least = TOLD_ARM * TOLD_ARM * share * max(Cr[0, k], Cr[1, k], Cr[2, k])
+    for i in range(3):
+        untold[i] = 1.0 if _square(near, 9 + own + i) <= least else 0.0
+    consider(P, x, kept, at, untold)
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def withhold_hidden(P, x, H, K, kept, at, untold):
+    """Have constants only considered where what they do to a reading does not stand out of what the state's error
+    does to it: scales and misalignments of an inertial unit, and of wheels.
+
+    The slope by a scale of the unit is the sample itself, with the noise that has made the state err since: each
+    reading that shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other
+    constants explain, the slope stands in P, and so does the error. What is drawn draws others that go with it.
+
+    H (a, n), K (n, a): Jacobian and gain; untold (constants,): work. The others: `consider`.
+    """
+    a, known, first = H.shape[0], 0.0, min(at, P.shape[0] - kept.shape[1])
+    for c in range(a):
+        for i in range(H.shape[1]):
+            if H[c, i] != 0.0:
+                known += H[c, i] * K[i, c]
+    for i in range(untold.size):
+        before = kept[1 + i, at + i - first]
+        untold[i] = 1.0 if before - P[at + i, at + i] < TOLD * TOLD * known * before * before else 0.0
+    consider(P, x, kept, at, untold)
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def pushed(P, nav, drv, Cr, pushes, work):
+    """Covariance of an inertial unit's acceleration in n, into `pushes` (3, 3): by tilt and by errors of the
+    accelerometers, with all that is known of both. At rest a bias looks like an acceleration, and what a velocity
+    tells is the sum of them. work: 3 (k + 3) elements.
+    """
+    for i in range(3):
+        for j in range(3):
+            pushes[i, j] = 0.0
+    if drv[strapdown.INERTIAL] == 0.0:
+        return
+    k, g, count = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2]), 2
+    # errors that accelerate are few, tilts and states of the accelerometers: a row each of how, where it stands
+    J, which = shaped(work, k + 3, 3), flat(scratch(np.int64, int(1), k + 3))
+    J[0, 0], J[0, 1], J[0, 2], which[0] = 0.0, g, 0.0, 6
+    J[1, 0], J[1, 1], J[1, 2], which[1] = -g, 0.0, 0.0, 7
+    for s in range(k):
+        x, y, z = Cr[3, s], Cr[4, s], Cr[5, s]
+        if x != 0.0 or y != 0.0 or z != 0.0:
             for i in range(3):
-                # a tilt that grows on the way back turns the forces: half of what the whole of it would do, a third to
-                # the place
-                pushed, turned = late_s * u[3 + i] - 0.5 * late_s * late_s * u[i], late_s * u[6 + i]
-                for r in range(3):
-                    turned += (0.5 * late_s * u[3 + r] - late_s * late_s / 6.0 * u[r]) * B[3 + r, 6 + i]
-                middle = 0.5 * (now[6 + 3 * i + j] + then[6 + 3 * i + j])
-                by_rate, by_force = by_rate + turned * middle, by_force + pushed * middle
-            for s in range(len(row)):
-                row[s] += by_rate * outputs[j, s] + by_force * outputs[3 + j, s]
-
-    return _by_drive
-
-
-@_keyed
-def slope_s(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def slope_s(variance):
-        """Over what time the slope of a reading is taken whose clock has this variance [s]."""
-        _ = sources
-        return max(SLOPE_S, SPREAD * math.sqrt(variance))
-
-    return slope_s
-
-
-@_keyed
-def lately(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def lately(rows, rate):
-        """Mean of the angular rate (3,) over `WINDOW_S`, of the intervals but for the newest two: those have the noise
-        of the reading that is predicted. rows: see `inertial_motion`.
-        """
-        _ = sources
-        seconds = 0.0
-        for j in range(3):
-            rate[j] = 0.0
-        for i in range(2, rows.shape[0]):
-            if rows[i, 0] <= 0.0 or seconds >= WINDOW_S:
-                break
-            seconds += rows[i, 0]
-            for j in range(3):
-                rate[j] += rows[i, 0] * rows[i, 1 + j]
-        for j in range(3):
-            rate[j] /= max(seconds, 1e-9)
-
-    return lately
-
-
-@_keyed
-def _square(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def _square(near, column):
-        """Of the length of a column, NaN being components that are missing."""
-        _, s = sources, 0.0
-        for i in range(near.shape[0]):
-            if not math.isnan(near[i, column]):
-                s += near[i, column] * near[i, column]
-        return s
-
-    return _square
-
-
-@_keyed
-def lanes(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def lanes(count):
-        """So many numbers are as many registers of eight: their elements."""
-        _ = sources
-        return (count + LANES - 1) // LANES * LANES
-
-    return lanes
-
-
-@_keyed
-def keep_constants(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def keep_constants(P, x, at, kept):
-        """Note what is known of constants from `at` on before a reading corrects, for `consider`.
-
-        kept (1 + constants, `lanes` of them): estimates; then their rows of P, from their columns on, or so many from
-        the end.
-        """
-        _ = sources
-        n, (rows, most), whole, to = P.shape[0], kept.shape, flat(P), flat(kept)
-        first = min(at, n - most)
-        for i in range(rows - 1):
-            kept[0, i] = x[at + i - 9]
-            for j in range(0, most, LANES):
-                put(to, (1 + i) * most + j, eight(whole, (at + i) * n + first + j))
-
-    return keep_constants
-
-
-@_keyed
-def consider(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def consider(P, x, kept, at, untold):
-        """Take back what a reading has told of constants that are only considered (Schmidt, 1966): slopes and
-        correlations with all else stay, and they are known as before. The smoother takes them for constants that walk
-        by as much.
-
-        kept: see `keep_constants`; untold: of the states from `at` on, not 0 for those that are so.
-        """
-        _ = sources
-        n, most, whole, given = P.shape[0], kept.shape[1], flat(P), flat(kept)
-        first, meant = min(at, n - most), flat(scratch(np.float64, int(1), most))
-        for j in range(most):
-            meant[j] = untold[first + j - at] if 0 <= first + j - at < untold.size else 0.0
-        for i in range(untold.size):
-            if untold[i] == 0.0:
-                continue
-            x[at + i - 9] = kept[0, i]
-            for j in range(0, most, LANES):
-                place, before = (at + i) * n + first + j, eight(given, (1 + i) * most + j)
-                put(whole, place, if_below(all_of(0.0), eight(meant, j), before, eight(whole, place)))
-
-    return consider
-
-
-@_keyed
-def withhold(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def withhold(P, x, near, kept, own, at, drv, Cr, untold):
-        """Have a lever arm only considered where its slopes do not stand out of the noise of the gyros.
-
-        A rate that is noise is in the attitude, too, and by gravity in what the next readings show: an arm would be
-        drawn by both, always to the same side.
-
-        near (a, 9 + parameters): slopes, those by the arm from column 9 + own on; at: where the arm stands in P; drv,
-        Cr: the drive's memory, and its white variances in the last column; untold (3,): work. The others: `consider`.
-        """
-        _ = sources
-        k = Cr.shape[1] - 1
-        if drv[strapdown.INERTIAL] == 0.0:
-            return
-        share = min(1.0, drv[strapdown.PERIOD_S] / WINDOW_S)
-        least = TOLD_ARM * TOLD_ARM * share * max(Cr[0, k], Cr[1, k], Cr[2, k])
-        for i in range(3):
-            untold[i] = 1.0 if _square(near, 9 + own + i) <= least else 0.0
-        consider(P, x, kept, at, untold)
-
-    return withhold
-
-
-@_keyed
-def withhold_hidden(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def withhold_hidden(P, x, H, K, kept, at, untold):
-        """Have constants only considered where what they do to a reading does not stand out of what the state's error
-        does to it: scales and misalignments of an inertial unit, and of wheels.
-
-        The slope by a scale of the unit is the sample itself, with the noise that has made the state err since: each
-        reading that shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other
-        constants explain, the slope stands in P, and so does the error. What is drawn draws others that go with it.
-
-        H (a, n), K (n, a): Jacobian and gain; untold (constants,): work. The others: `consider`.
-        """
-        _ = sources
-        a, known, first = H.shape[0], 0.0, min(at, P.shape[0] - kept.shape[1])
-        for c in range(a):
-            for i in range(H.shape[1]):
-                if H[c, i] != 0.0:
-                    known += H[c, i] * K[i, c]
-        for i in range(untold.size):
-            before = kept[1 + i, at + i - first]
-            untold[i] = 1.0 if before - P[at + i, at + i] < TOLD * TOLD * known * before * before else 0.0
-        consider(P, x, kept, at, untold)
-
-    return withhold_hidden
-
-
-@_keyed
-def pushed(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def pushed(P, nav, drv, Cr, pushes, work):
-        """Covariance of an inertial unit's acceleration in n, into `pushes` (3, 3): by tilt and by errors of the
-        accelerometers, with all that is known of both. At rest a bias looks like an acceleration, and what a velocity
-        tells is the sum of them. work: 3 (k + 3) elements.
-        """
-        _ = sources
-        for i in range(3):
-            for j in range(3):
-                pushes[i, j] = 0.0
-        if drv[strapdown.INERTIAL] == 0.0:
-            return
-        k, g, count = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2]), 2
-        # errors that accelerate are few, tilts and states of the accelerometers: a row each of how, where it stands
-        J, which = shaped(work, k + 3, 3), flat(scratch(np.int64, int(1), k + 3))
-        J[0, 0], J[0, 1], J[0, 2], which[0] = 0.0, g, 0.0, 6
-        J[1, 0], J[1, 1], J[1, 2], which[1] = -g, 0.0, 0.0, 7
-        for s in range(k):
-            x, y, z = Cr[3, s], Cr[4, s], Cr[5, s]
-            if x != 0.0 or y != 0.0 or z != 0.0:
-                for i in range(3):
-                    J[count, i] = -(nav[6 + 3 * i] * x + nav[7 + 3 * i] * y + nav[8 + 3 * i] * z)
-                which[count] = 9 + s
-                count += 1
-        for c in range(count):
-            for i in range(3):
-                with_c = 0.0
-                for r in range(count):
-                    with_c += J[r, i] * P[which[r], which[c]]
-                for j in range(3):
-                    pushes[i, j] += with_c * J[c, j]
-
-    return pushed
-
-
-@_keyed
-def discount(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
-        """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
-        drive's noise. The rest, which `shared` readings have in common, and what is not straight go into R (second
-        order, Gelb, 1974, sec. 6.1).
-
-        inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; gravity: 0 where
-        forces are accelerations; variance: of the clock; pushes (3, 3): see `pushed`.
-        """
-        _ = sources
-        k, last = Cr.shape[1] - 1, near.shape[1] - 1
-        by = drv[strapdown.PERIOD_S] / over_s if gravity != 0.0 else 2.0 / max(over_s, drv[strapdown.PERIOD_S]) ** 2
-        for i in range(near.shape[0]):
-            noise, growth, u = 0.0, 0.0, inner[i]
-            for j in range(9):
-                growth += u[j] * slope[1, j]
-            for j in range(3):
-                turned = u[6] * then[6 + j] + u[7] * then[9 + j] + u[8] * then[12 + j]
-                pushed = u[3] * then[6 + j] + u[4] * then[9 + j] + u[5] * then[12 + j]
-                noise += by * (turned * turned * Cr[j, k] + pushed * pushed * Cr[3 + j, k])
-            for j in range(3):
-                for r in range(3):
-                    noise += u[3 + j] * pushes[j, r] * u[3 + r]
-            told, least = near[i, last], TOLD * TOLD * noise
-            if math.isnan(told):
-                continue  # there is no reading of this component
-            left = told if told * told <= least else least / told
-            near[i, last] -= left
-            R[i, i] += shared * variance * (noise + left * left) + 0.5 * (variance * growth) ** 2
-
-    return discount
-
-
-@_keyed
-def _asked(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def _asked(recent, late_s, long_s):
-        """How many of the drive's last samples `measurement.earlier` and `lately` ask for, with the one that the oldest
-        of them is a mean with.
-        """
-        _, most = sources, recent.shape[0]
-        over_s = min(long_s, max(2.0 * late_s, WINDOW_S))
-        reach_s, count, age_s = max(late_s, 0.5 * over_s) + 0.5 * over_s, 1, 0.0
-        while count < most and age_s < reach_s:
-            age_s += max(recent[count, 0], 0.0)
+                J[count, i] = -(nav[6 + 3 * i] * x + nav[7 + 3 * i] * y + nav[8 + 3 * i] * z)
+            which[count] = 9 + s
             count += 1
-        return min(count + 1, most)
+    for c in range(count):
+        for i in range(3):
+            with_c = 0.0
+            for r in range(count):
+                with_c += J[r, i] * P[which[r], which[c]]
+            for j in range(3):
+                pushes[i, j] += with_c * J[c, j]
 
-    return _asked
+
+@njit(cache=True, **UNCOUNTED)
+def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
+    """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
+    drive's noise. The rest, which `shared` readings have in common, and what is not straight go into R (second
+    order, Gelb, 1974, sec. 6.1).
+
+    inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; gravity: 0 where
+    forces are accelerations; variance: of the clock; pushes (3, 3): see `pushed`.
+    """
+    k, last = Cr.shape[1] - 1, near.shape[1] - 1
+    by = drv[strapdown.PERIOD_S] / over_s if gravity != 0.0 else 2.0 / max(over_s, drv[strapdown.PERIOD_S]) ** 2
+    for i in range(near.shape[0]):
+        noise, growth, u = 0.0, 0.0, inner[i]
+        for j in range(9):
+            growth += u[j] * slope[1, j]
+        for j in range(3):
+            turned = u[6] * then[6 + j] + u[7] * then[9 + j] + u[8] * then[12 + j]
+            pushed = u[3] * then[6 + j] + u[4] * then[9 + j] + u[5] * then[12 + j]
+            noise += by * (turned * turned * Cr[j, k] + pushed * pushed * Cr[3 + j, k])
+        for j in range(3):
+            for r in range(3):
+                noise += u[3 + j] * pushes[j, r] * u[3 + r]
+        told, least = near[i, last], TOLD * TOLD * noise
+        if math.isnan(told):
+            continue  # there is no reading of this component
+        left = told if told * told <= least else least / told
+        near[i, last] -= left
+        R[i, i] += shared * variance * (noise + left * left) + 0.5 * (variance * growth) ** 2
 
 
-@_keyed
-def _sight(sources):
-    @apart
-    @njit(cache=True, **UNCOUNTED)
-    def _sight(given, H, near, res, R, work):
-        """As `sight`; given: what it is told; work: what it has room in."""
-        _ = sources
-        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes = given
-        arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
-        a, last = near.shape[0], near.shape[1] - 10
-        own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
-        kind, k = par[:own], len(xd)
-        then, turn, gravity, errors = work[:17], work[17:23], work[23:24], work[24:30]
-        slope, B, told = shaped(work[30:48], 2, 9), shaped(work[48:129], 9, 9), work[129:132]
-        steady, work = work[132:149], work[ROOM:]
-        constants, moved, work = work[: len(cfg)], work[len(cfg) : 2 * len(cfg)], work[2 * len(cfg) :]
-        outputs, work = shaped(work[: 6 * k], 6, k), work[6 * k :]
-        ends, base, whole, work = work[:a], work[a : 2 * a], work[2 * a : 2 * a + z.size], work[2 * a + z.size :]
-        inner, work = shaped(work[: a * (9 + own)], a, 9 + own), work[a * (9 + own) :]
-        missing = False
-        for i in range(z.size):
-            # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
-            missing |= math.isnan(z[i])
-            whole[i] = 0.0 if math.isnan(z[i]) else z[i]
-        for i in range(len(cfg)):
-            constants[i] = cfg[i]
-            if arm:
-                for j in range(3):
-                    constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
-        seen, turning, over_s = nav, rate, 0.0
-        drive_outputs(drv, Cr, xd, outputs, errors)
-        long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
-        late_s = since_s + par[last] if clock else 0.0
-        known = _asked(recent, late_s, long_s)
-        rows = shaped(work[: 7 * (known + 1)], known + 1, 7)
-        addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
-        if clock:
-            over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
-            seen, turning = then, turn[:3]
-        addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
-        for i in range(a):
-            for j in range(9 + own):
-                near[i, j] = inner[i, j]
-        if clock:
-            for i in range(a):
-                u, told_by_clock = inner[i], 0.0
-                for j in range(9):
-                    told_by_clock -= u[j] * slope[0, j]
-                near[i, 9 + last] = told_by_clock
-                for j in range(3):
-                    near[i, 3 + j] += u[j] * B[j, 3 + j]
-                    for r in range(6):
-                        near[i, 6 + j] += u[r] * B[r, 6 + j]
-                if gravity[0] != 0.0:
-                    _by_drive(nav, then, B, late_s, outputs, u, H[i][9 : 9 + k])
+@njit(cache=True, **UNCOUNTED)
+def _asked(recent, late_s, long_s):
+    """How many of the drive's last samples `measurement.earlier` and `lately` ask for, with the one that the oldest
+    of them is a mean with.
+    """
+    most = recent.shape[0]
+    over_s = min(long_s, max(2.0 * late_s, WINDOW_S))
+    reach_s, count, age_s = max(late_s, 0.5 * over_s) + 0.5 * over_s, 1, 0.0
+    while count < most and age_s < reach_s:
+        age_s += max(recent[count, 0], 0.0)
+        count += 1
+    return min(count + 1, most)
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def _sight(given, H, near, res, R, work):
+    """As `sight`; given: what it is told; work: what it has room in."""
+    equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes = given
+    arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
+    a, last = near.shape[0], near.shape[1] - 10
+    own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
+    kind, k = par[:own], len(xd)
+    then, turn, gravity, errors = work[:17], work[17:23], work[23:24], work[24:30]
+    slope, B, told = shaped(work[30:48], 2, 9), shaped(work[48:129], 9, 9), work[129:132]
+    steady, work = work[132:149], work[ROOM:]
+    constants, moved, work = work[: len(cfg)], work[len(cfg) : 2 * len(cfg)], work[2 * len(cfg) :]
+    outputs, work = shaped(work[: 6 * k], 6, k), work[6 * k :]
+    ends, base, whole, work = work[:a], work[a : 2 * a], work[2 * a : 2 * a + z.size], work[2 * a + z.size :]
+    inner, work = shaped(work[: a * (9 + own)], a, 9 + own), work[a * (9 + own) :]
+    missing = False
+    for i in range(z.size):
+        # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
+        missing |= math.isnan(z[i])
+        whole[i] = 0.0 if math.isnan(z[i]) else z[i]
+    for i in range(len(cfg)):
+        constants[i] = cfg[i]
         if arm:
             for j in range(3):
-                told[j] = turn[j]
-            if not clock:
-                lately(rows, told)
-            if drv[strapdown.INERTIAL] == 0.0:
-                # the attitude is a reading: what it errs by is in the position, too, see `strapdown._steady`
-                for j in range(17):
-                    steady[j] = drv[strapdown.STEADY_C + j - 6] if 6 <= j < 15 else seen[j]
-            else:
-                steady = seen
-            addresses.at_equation(equation, (whole, steady, told, kind, constants, inner, base))
-            # what a mounting or a scale does with the arm's turning: the noise of the rate is in the residual, too
-            for i in range(a):
-                for j in range(9, 9 + own):
-                    near[i, j] = inner[i, j]
+                constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
+    seen, turning, over_s = nav, rate, 0.0
+    drive_outputs(drv, Cr, xd, outputs, errors)
+    long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
+    late_s = since_s + par[last] if clock else 0.0
+    known = _asked(recent, late_s, long_s)
+    rows = shaped(work[: 7 * (known + 1)], known + 1, 7)
+    addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
+    if clock:
+        over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
+        seen, turning = then, turn[:3]
+    addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
+    for i in range(a):
+        for j in range(9 + own):
+            near[i, j] = inner[i, j]
+    if clock:
+        for i in range(a):
+            u, told_by_clock = inner[i], 0.0
+            for j in range(9):
+                told_by_clock -= u[j] * slope[0, j]
+            near[i, 9 + last] = told_by_clock
             for j in range(3):
-                for i in range(len(cfg)):
-                    moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]
-                addresses.at_equation(equation, (whole, steady, told, kind, moved, inner, ends))
-                for i in range(a):
-                    near[i, 9 + own + j] = (base[i] - ends[i]) / STEP
-        if clock and facts[TURNS] != 0.0:
+                near[i, 3 + j] += u[j] * B[j, 3 + j]
+                for r in range(6):
+                    near[i, 6 + j] += u[r] * B[r, 6 + j]
+            if gravity[0] != 0.0:
+                _by_drive(nav, then, B, late_s, outputs, u, H[i][9 : 9 + k])
+    if arm:
+        for j in range(3):
+            told[j] = turn[j]
+        if not clock:
+            lately(rows, told)
+        if drv[strapdown.INERTIAL] == 0.0:
+            # the attitude is a reading: what it errs by is in the position, too, see `strapdown._steady`
+            for j in range(17):
+                steady[j] = drv[strapdown.STEADY_C + j - 6] if 6 <= j < 15 else seen[j]
+        else:
+            steady = seen
+        addresses.at_equation(equation, (whole, steady, told, kind, constants, inner, base))
+        # what a mounting or a scale does with the arm's turning: the noise of the rate is in the residual, too
+        for i in range(a):
+            for j in range(9, 9 + own):
+                near[i, j] = inner[i, j]
+        for j in range(3):
+            for i in range(len(cfg)):
+                moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]
+            addresses.at_equation(equation, (whole, steady, told, kind, moved, inner, ends))
             for i in range(a):
-                base[i] = res[i]
-            if missing:
-                addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, base))
-            for i in range(3):
-                turn[i] += STEP * turn[3 + i]
-            addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, ends))
-            for i in range(a):
-                near[i, 9 + last] -= (base[i] - ends[i]) / STEP
-        if clock:
-            discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, pushes, facts[SHARED], near, R)
+                near[i, 9 + own + j] = (base[i] - ends[i]) / STEP
+    if clock and facts[TURNS] != 0.0:
+        for i in range(a):
+            base[i] = res[i]
+        if missing:
+            addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, base))
+        for i in range(3):
+            turn[i] += STEP * turn[3 + i]
+        addresses.at_equation(equation, (whole, seen, turning, kind, constants, inner, ends))
+        for i in range(a):
+            near[i, 9 + last] -= (base[i] - ends[i]) / STEP
+    if clock:
+        discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, pushes, facts[SHARED], near, R)
 
-    return _sight
 
+@njit(cache=True, **UNCOUNTED)
+def sight(
+    equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
+):
+    """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
+    states: the last of `par`.
 
-@_keyed
-def sight(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def sight(
-        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
-    ):
-        """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
-        states: the last of `par`.
+    A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
+    with respect to it is minus that of the reading with time, as the drive felt it then.
 
-        A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
-        with respect to it is minus that of the reading with time, as the drive felt it then.
-
-        equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
-        sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-        drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3):
-        see `pushed`. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way
-        back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
-        """
-        _ = sources
-        sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + len(z) + 2 * len(cfg) + 6 * len(xd)
-        work = flat(scratch(np.float64, int(1), ROOM + sizes))
-        given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes
-        _sight(given, H, near, res, R, work)
-
-    return sight
+    equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
+    sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
+    drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3):
+    see `pushed`. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way
+    back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
+    """
+    sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + len(z) + 2 * len(cfg) + 6 * len(xd)
+    work = flat(scratch(np.float64, int(1), ROOM + sizes))
+    given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes
+    _sight(given, H, near, res, R, work)

@@ -11,7 +11,9 @@ import functools
 import hashlib
 import importlib
 import inspect
+import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -46,6 +48,10 @@ OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 #: What defines kernels that are called by symbols, by these.
 _definitions: dict[str, Callable[[], Any]] = {}
 
+#: Where kernels stand, and how one of their files imports from others.
+_KERNELS = Path(__file__).parents[1]
+_IMPORT = re.compile(r"^from (navfilter\.kernels[\w.]*) import \(?([\w\s,]*)", re.MULTILINE)
+
 _settings: Any = config
 _Base: Any = _Intrinsic
 _Native: Any = NativeLowering
@@ -63,17 +69,44 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     -------
     decorator : callable
     """
-    if not KNOWN:
-        plain: Callable[[Callable[..., Any]], Any] = numba.njit(**options)
-        return plain
 
     def compiled(function: Callable[..., Any]) -> Any:
-        inner = function.__name__.startswith("_")
+        inner = KNOWN and function.__name__.startswith("_")
         lean: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner, "pipeline_class": _Lean}
-        kernel = numba.njit(**lean, **options)(function)
+        kernel = numba.njit(**(lean if KNOWN else {}), **options)(function)
+        _stamp(kernel, function.__module__)
         return Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
 
     return compiled
+
+
+def _stamp(kernel: Any, module: str) -> None:
+    """Let a kernel that numba has kept count only as long as the files are the same whose kernels it may call.
+
+    numba looks at the file of the kernel alone.
+    """
+    kept = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    if kept is not None:
+        kept._source_stamp = (kept._source_stamp, _checksum(module))
+
+
+@functools.cache
+def _checksum(module: str) -> str:
+    """Of the files of `navfilter.kernels` that a module imports, itself or by another."""
+    found, todo = set[str](), [module]
+    while todo:
+        for folder, names in _IMPORT.findall(_source(todo.pop())):
+            new = {f"{folder}.{name}" for name in re.findall(r"\w+", names)} | {folder}
+            todo += sorted(new - found)
+            found |= new
+    return hashlib.sha256("".join(_source(name) for name in sorted(found)).encode()).hexdigest()
+
+
+@functools.cache
+def _source(module: str) -> str:
+    """Of a module of kernels; nothing of what is none."""
+    path = _KERNELS.joinpath(*module.split(".")[2:]).with_suffix(".py")
+    return path.read_text(encoding="utf-8") if module.startswith("navfilter.kernels.") and path.is_file() else ""
 
 
 def apart(kernel: Any) -> Any:
