@@ -149,7 +149,7 @@ def test_a_torn_line_is_ended_and_written_again():
         return sent, error
 
     outlet._write = write
-    lines = [(b"one\n", True), (b"two\n", True)]
+    lines = [b"one\n", b"two\n"]
     assert outlet._send(lines, None)[0] == 0 and outlet._send(lines, None) == (2, None)
     os.close(theirs)
     with os.fdopen(ours, "rb") as reader:

@@ -93,6 +93,7 @@ class _Run:
         warm(service.say, vehicle)
         resumed = self._resume(None if log is None or service.log is None else service.log / LOG_FILE)
         self._disk = Disk(log, service.state, service.fsync_s, self._notice, self._remade)
+        self._outlet.follow(self._disk.behind)
         self._disk.append(run_note(options, **({"resumed": True} if resumed else {})))
         if resumed is not None:
             self._session.feed(Note("run", options.to_json(), b""))
@@ -115,7 +116,7 @@ class _Run:
     # ---------------------------------------------------------------- what goes out
     def _emit(self, line: bytes, is_state: bool) -> None:
         if not self._muted:
-            self._outlet.put(line, is_state)
+            self._outlet.put(line, is_state, self._disk.appended)
 
     def _log_note(self, line: bytes) -> None:
         if not self._muted:
