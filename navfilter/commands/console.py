@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from navfilter.foundation.quoting import printable
+
 if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
@@ -28,6 +30,7 @@ __all__ = [
     "read",
     "row_rate",
     "seed",
+    "show",
     "speaker",
     "unpacked_bytes",
 ]
@@ -57,13 +60,13 @@ def seed(text: str) -> int:
 
 
 def speaker(quiet: bool) -> Callable[[str], None]:
-    """A print that says nothing when `quiet`."""
+    """`show`, or what says nothing when `quiet`."""
+    return (lambda text: None) if quiet else show
 
-    def say(text: str) -> None:
-        if not quiet:
-            print(text, flush=True)
 
-    return say
+def show(text: str) -> None:
+    """Print a text; whatever stands in it out of somebody's files steers no terminal."""
+    print(printable(text), flush=True)
 
 
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
@@ -164,7 +167,7 @@ def complain(text: str) -> None:
         with contextlib.suppress(OSError, ValueError):
             if not select.select([], [sys.stderr.fileno()], [], 1.0)[1]:
                 return
-        print(text, file=sys.stderr, flush=True)
+        print(printable(text), file=sys.stderr, flush=True)
 
 
 def announce_compilation(say: Callable[[str], None]) -> bool:

@@ -17,11 +17,13 @@ from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
     compile_first,
+    complain,
     output_folder,
     positive,
     read,
     row_rate,
     seed,
+    show,
     speaker,
 )
 
@@ -288,12 +290,12 @@ def _write(
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
         _print_result(tracks, mission, assessment)
-        print(f"Written to {folder}{os.sep}:")
-        print(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
+        show(f"Written to {folder}{os.sep}:")
+        show(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
     if assessment.verdict.trusted:
         return 0
     where = report if drawn else folder / "summary.json"
-    print(f"navfilter: {assessment.verdict.headline} See {where}.", file=sys.stderr)
+    complain(f"navfilter: {assessment.verdict.headline} See {where}.")
     return NOT_TRUSTED
 
 
@@ -311,11 +313,11 @@ def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assess
 
     result = list(tracks.values())[-1]
     if mission.truth is not None:
-        print(f"{headline_table(tracks, mission)}\n")
-    print(f"{sensor_table(result)}\n")
+        show(f"{headline_table(tracks, mission)}\n")
+    show(f"{sensor_table(result)}\n")
     for line in assessment.lines():
-        print(line)
+        show(line)
     for learnt in assessment.learnt:
-        print(f"learnt: {learnt}")
-    print(f"\n{assessment.verdict}")
-    print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")
+        show(f"learnt: {learnt}")
+    show(f"\n{assessment.verdict}")
+    show(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.commands.console import announce_compilation, positive
+from navfilter.foundation.quoting import printable
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -157,7 +158,7 @@ def run(options: argparse.Namespace) -> int:
 
     def say(text: str) -> None:
         if not options.quiet:
-            operator.put(f"navfilter run: {text}\n".encode(), False)
+            operator.put(f"navfilter run: {printable(text)}\n".encode(), False)
 
     try:
         if 1 in closed and options.listen is None:

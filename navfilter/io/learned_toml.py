@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from navfilter.foundation.quoting import one_line
 from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, write_vehicle
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
@@ -105,7 +106,7 @@ def _with_models(
     else:
         each = (f"{axis} = {_with_adopted(value, model)}" for axis, model in zip(axes, models, strict=True))
         new = "{" + ", ".join(each) + "}"
-    comment = f"# {remark}\n" if remark else ""
+    comment = f"# {one_line(remark)}\n" if remark else ""
     return text[: found.start()] + comment + text[found.start() : first] + new + text[last:]
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from navfilter.foundation.quoting import toml_key, toml_text
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import Item, LineParser, Note, log_lines
 from navfilter.models.mission import MissionError
@@ -169,7 +170,7 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
     lines = [
         "# Written by navfilter run. The readings stand in the order of their arrival;"
         " navfilter run --replay-log feeds them again.",
-        f"name = {json.dumps(folder.resolve().name)}",
+        f"name = {toml_text(folder.resolve().name)}",
         *([] if date is None else [f"date = {date.isoformat()}"]),
         "",
         "[log]",
@@ -178,9 +179,7 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
         "[log.columns]",
     ]
     return (
-        "\n".join(
-            lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]
-        )
+        "\n".join(lines + [f"{toml_key(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()])
         + "\n"
     )
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.quoting import one_line
 from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
@@ -159,7 +160,10 @@ def survey(path: Path) -> Survey:
 def survey_text(found: Survey, most: int = 80) -> str:
     """The topics as a table of text, one line each, and what was dropped."""
     length = found.end_s - found.begin_s
-    lines = [f"{found.path.name}: {found.format.title}, {len(found.topics)} topics, {length:.1f} s{_when(found)}.", ""]
+    lines = [
+        f"{one_line(found.path.name)}: {found.format.title}, {len(found.topics)} topics, {length:.1f} s{_when(found)}.",
+        "",
+    ]
     width = max(5, *(len(_title(topic)) for topic in found.topics[:most]))
     lines.append(f"{'topic':{width}}  {'records':>8} {'Hz':>7} {'from s':>8} {'to s':>8}  gaps           first values")
     for topic in found.topics[:most]:
@@ -176,7 +180,7 @@ def survey_text(found: Survey, most: int = 80) -> str:
 
 
 def _title(topic: Topic) -> str:
-    return f"{topic.name} ({topic.kind})" if topic.kind else topic.name
+    return one_line(f"{topic.name} ({topic.kind})" if topic.kind else topic.name)
 
 
 def _when(found: Survey) -> str:
@@ -194,4 +198,4 @@ def _first_values(topic: Topic, most: int = 4) -> str:
         if first is not None:
             value = first if isinstance(first, str) else f"{first:.10g}" if "stamp" in name else f"{first:.6g}"
             shown.append(f"{name} = {value}{' ' + topic.units[name] if name in topic.units else ''}")
-    return ", ".join(shown[:most]) + (", ..." if len(shown) > most else "")
+    return one_line(", ".join(shown[:most])) + (", ..." if len(shown) > most else "")
