@@ -55,7 +55,10 @@ def test_a_topic_cannot_write_into_the_mission(tmp_path, capsys):
     assert main(["mission", str(tmp_path / "bag"), "--init", "--out", str(tmp_path / "dive")]) == 0
     written = tomllib.loads((tmp_path / "dive" / "mission.toml").read_text())
     assert set(written) <= {"name", "date", "zero_s", "start", "streams"}
-    assert {name: stream["topic"] for name, stream in written["streams"].items()} == {"imu": HOSTILE, "odometry": "/dvl"}
+    assert {name: stream["topic"] for name, stream in written["streams"].items()} == {
+        "imu": HOSTILE,
+        "odometry": "/dvl",
+    }
     assert len(nf.read_mission(tmp_path / "dive").streams["imu"]) == 200
     said = capsys.readouterr().out
     assert "hostname" in said and said.replace("\n", "").isprintable()

@@ -14,7 +14,7 @@ import numpy as np
 from navfilter.foundation.quoting import one_line, toml_key
 from navfilter.io.learned_toml import closing
 from navfilter.io.vehicle_keys import spellings
-from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
+from navfilter.io.vehicle_toml import VehicleError, read_vehicle, vehicle_file, write_vehicle
 from navfilter.models.vehicle import Vehicle
 
 __all__ = ["write_calibrated"]
@@ -69,7 +69,7 @@ def write_calibrated(
     """
     path = Path(path)
     if source is not None:
-        file = Path(source) / "vehicle.toml" if Path(source).is_dir() else Path(source)
+        file = vehicle_file(source)
         text = file.read_text(encoding="utf-8")
         try:
             for part, new, old in _parts(vehicle, before):

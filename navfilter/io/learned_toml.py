@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from navfilter.foundation.quoting import one_line
-from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, write_vehicle
+from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, vehicle_file, write_vehicle
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle
@@ -52,7 +52,7 @@ def write_learned(
     """
     path = Path(path)
     if source is not None:
-        file = Path(source) / "vehicle.toml" if Path(source).is_dir() else Path(source)
+        file = vehicle_file(source)
         try:
             path.write_text(_edited(file.read_text(encoding="utf-8"), vehicle, remarks or {}), encoding="utf-8")
             if _same(read_vehicle(path), vehicle):

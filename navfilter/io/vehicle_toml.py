@@ -93,9 +93,7 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     ...     read_vehicle(path).sensors["compass"].error.tau_s
     30.0
     """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "vehicle.toml"
+    path = vehicle_file(path)
     spec: Any = validate(_vehicle_spec(_kinds()), read_toml(path, VehicleError), path, VehicleError)
     wrong: list[tuple[str, str]] = []
     drive = None if spec.drive is None else _built(spec.drive, "drive", wrong, {})
@@ -110,6 +108,11 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
         return Vehicle(*parts, imus=imus, dead_reckoning_lane=spec.dead_reckoning_lane)
     except ValueError as error:
         raise VehicleError(f"{path}: {error}") from None
+
+
+def vehicle_file(path: str | os.PathLike[str]) -> Path:
+    """A vehicle.toml that was named, or that of a folder."""
+    return Path(path) / "vehicle.toml" if Path(path).is_dir() else Path(path)
 
 
 def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:

@@ -23,7 +23,13 @@ from typing import Any, BinaryIO
 from navfilter.navigation import snapshot
 from navfilter.service.protocol import event_line, to_line
 
-__all__ = ["Disk", "StateFile"]
+__all__ = ["Disk", "StateFile", "new_file"]
+
+
+def new_file(path: Path) -> BinaryIO:
+    """A file to write anew: neither a link that lies there is followed, nor a pipe waited for."""
+    path.unlink(missing_ok=True)
+    return path.open("xb")
 
 
 class StateFile:
@@ -36,6 +42,12 @@ class StateFile:
         """The bytes of the file."""
         rest = to_line({"log_offset": log_offset}) + session + nav
         return cls.MAGIC + hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
+
+    @classmethod
+    def is_one(cls, path: Path) -> bool:
+        """Whether a file begins like a snapshot, of whatever version."""
+        with path.open("rb") as file:
+            return file.read(32).startswith(b"navfilter-run-state ")
 
     @classmethod
     def read(cls, path: Path) -> tuple[bytes, bytes, int | None]:
@@ -275,7 +287,7 @@ class Disk:
         part = self._state_path.with_name(self._state_path.name + ".part")
         try:
             part.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
+            with new_file(part) as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())

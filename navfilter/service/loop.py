@@ -153,7 +153,8 @@ class _Run:
         except OSError as error:
             if service.resume != "best":
                 raise
-            self._notice("disk-failed", text=f"{service.log}: {error.strerror or error}; navigating without a log")
+            what = f"{error.filename or service.log}: {error.strerror or error}"
+            self._notice("disk-failed", text=f"{what}; navigating without a log")
             return None
 
     def _remade(self, old: BinaryIO) -> BinaryIO:
