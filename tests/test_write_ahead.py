@@ -85,24 +85,23 @@ SLOW = "import os, time\nfsync = os.fsync\nos.fsync = lambda handle: (time.sleep
 @pytest.mark.slow
 def test_two_hundred_kills_on_a_slow_disk(tmp_path):
     """Each run goes on where the one before was killed; whatever a state was published from is in the log."""
-    dive, folder, rng = Dive(tmp_path, "lawnmower", 300.0), tmp_path / "log", np.random.default_rng(51)
+    dive, folder, rng = Dive(tmp_path, "lawnmower", 450.0), tmp_path / "log", np.random.default_rng(51)
     (tmp_path / "sitecustomize.py").write_text(SLOW)
     paths = os.pathsep.join(filter(None, [str(tmp_path), os.getcwd(), os.environ.get("PYTHONPATH")]))
     arguments = [*dive.arguments, "--log", folder, "--resume", "--snapshot-every", "0.2", "--fsync", "0.1", "--quiet"]
     times, expected = [json.loads(line)["time_s"] for line in dive.lines], set(dive.output)
     sent = 0
-    for kill in range(200):
+    for _ in range(200):
         process = Process(*arguments, env={**os.environ, "PYTHONPATH": paths})
-        begin, end = np.searchsorted(times, [1.0 + 1.4 * kill, 3.0 + 1.4 * kill]).tolist()
+        next_s = float(np.floor(times[sent])) + 1.0
+        begin, end = np.searchsorted(times, [next_s + 0.1, next_s + 1.1]).tolist()
         process.send(dive.lines[sent:begin])
-        process.read_until(np.floor(times[begin - 1]) if kill else 1.0)
-        sending = threading.Thread(target=quietly, args=(process, dive.lines[begin:end], float(rng.uniform(0, 0.02))))
-        sending.start()
-        process.process.kill() if rng.random() < 0.2 else threading.Timer(
-            rng.uniform(0, 0.5), process.process.kill
-        ).start()
+        process.read_until(next_s)
+        killing = threading.Timer(rng.uniform(0.0, 0.5), process.process.kill)
+        killing.start()
+        quietly(process, dive.lines[begin:end], float(rng.uniform(0.0, 0.02)))
+        killing.join()
         output, _ = states(process.end())
-        sending.join()
         assert {line for line in process.output if b'"event"' not in line and b"ahead_of_log" not in line} <= expected
         logged = [line for line in (folder / LOG_FILE).read_bytes().splitlines(True) if line.startswith(b'{"sensor"')]
         sent = len(logged)

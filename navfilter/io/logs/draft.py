@@ -82,20 +82,20 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
 
 def read_inertial(found: Survey, topic: Topic, use: Use) -> Mission:
     """The inertial unit of a log alone, as stream ``imu`` of a mission."""
-    return _read(_mission_text(found, [inertial(topic, use)], str(found.path.resolve()), ""))
+    return _read(found, _mission_text(found, [inertial(topic, use)], str(found.path.resolve()), ""))
 
 
 def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str], Mission]:
     """The streams that can be read, a comment for each that cannot (no reading is valid, say), and the mission."""
     file, streams = str(found.path.resolve()), [*driving, *others]
     try:
-        return streams, [], _read(_mission_text(found, streams, file, ""))
+        return streams, [], _read(found, _mission_text(found, streams, file, ""))
     except MissionError:
         pass
     kept, dropped = [], []
     for stream in streams:
         try:
-            _read(_mission_text(found, [stream], file, ""))
+            _read(found, _mission_text(found, [stream], file, ""))
             kept.append(stream)
         except MissionError as error:
             if stream.name == "velocity":
@@ -103,14 +103,14 @@ def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> t
             elif stream in driving:
                 raise MissionError(f"{found.path}: {stream.name}, which is to drive: {_words(error)}") from None
             dropped.append(f"# {stream.name} from {one_line(stream.topic.name)} is left out: {_words(error)}")
-    return kept, dropped, _read(_mission_text(found, kept, file, ""))
+    return kept, dropped, _read(found, _mission_text(found, kept, file, ""))
 
 
-def _read(text: str) -> Mission:
+def _read(found: Survey, text: str) -> Mission:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mission.toml"
         path.write_text(text, encoding="utf-8")
-        return read_mission_toml(path)
+        return read_mission_toml(path, unpacked_bytes=found.unpacked_bytes)
 
 
 def _vehicle(text: str) -> Vehicle:

@@ -17,6 +17,7 @@ from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
 from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.trust import UNPACKED_BYTES, Allowance
 from navfilter.models.mission import MissionError
 
 __all__ = ["Survey", "Topic", "survey", "survey_text"]
@@ -93,12 +94,15 @@ class Survey:
         In the order of their first records.
     notes : tuple of str
         What was dropped, and why.
+    unpacked_bytes : int
+        What the log may unpack to when it is read again.
     """
 
     path: Path
     format: Format
     topics: tuple[Topic, ...]
     notes: tuple[str, ...]
+    unpacked_bytes: int = UNPACKED_BYTES
 
     @property
     def begin_s(self) -> float:
@@ -116,13 +120,15 @@ class Survey:
         return self.begin_s > _UTC_S
 
 
-def survey(path: Path) -> Survey:
+def survey(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
     """Go through a log and say what is in it.
 
     Parameters
     ----------
     path : Path
         A log, or a pattern with ``*`` of several that follow one another.
+    unpacked_bytes : int
+        What it may unpack to.
 
     Raises
     ------
@@ -132,7 +138,7 @@ def survey(path: Path) -> Survey:
     paths = files_of(path)
     known = log_format(paths[0])
     module = known.load()
-    wanted, tally = Wanted(), Counter[str]()
+    wanted, tally = Wanted(allowance=Allowance(unpacked_bytes)), Counter[str]()
     times: dict[str, array[float]] = {}
     kept: dict[str, TopicColumns] = {}
     for topic, time_s, record in itertools.chain.from_iterable(module.records(one, wanted, tally) for one in paths):
@@ -154,7 +160,7 @@ def survey(path: Path) -> Survey:
             Topic(name, kinds.get(name, ""), time.size, time, kept[name].columns(), wanted.units.get(name, {}))
         )
     notes = tuple(f"{count} {reason}" for reason, count in tally.items() if count)
-    return Survey(path, known, tuple(topics), notes)
+    return Survey(path, known, tuple(topics), notes, unpacked_bytes)
 
 
 def survey_text(found: Survey, most: int = 80) -> str:
