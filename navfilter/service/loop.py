@@ -85,6 +85,7 @@ class _Run:
         self._muted = self._output_gone = False
         self.errors = self._readings = 0
         self._heard = time.monotonic()
+        self._stated: float | None = None
         self._client = ""
         supervision.starting("compiling, or loading what has been compiled")
         self._outlet = Outlet(None if isinstance(service.input, tuple) else _STDOUT)
@@ -116,6 +117,7 @@ class _Run:
     # ---------------------------------------------------------------- what goes out
     def _emit(self, line: bytes, is_state: bool) -> None:
         if not self._muted:
+            self._stated = time.monotonic() if is_state else self._stated
             self._outlet.put(line, is_state, self._disk.appended)
 
     def _log_note(self, line: bytes) -> None:
@@ -307,6 +309,7 @@ class _Run:
             "waiting" if nav is None else "navigating",
             time_s=None if nav is None else nav.time_s,
             input_age_s=now - self._heard,
+            state_age_s=None if self._stated is None else now - self._stated,
             readings=self._readings,
             bad_lines=sum(self._session.bad.values()),
             client=self._client,
