@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "add_force_argument",
+    "add_limit_argument",
     "add_reading_arguments",
     "add_unpacking_argument",
     "announce_compilation",
     "compile_first",
     "complain",
+    "limits_of",
     "new_files",
     "output_folder",
     "positive",
@@ -77,6 +79,25 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         help="refuse a mission that leads out of its folder: for one of people you do not know",
     )
     add_unpacking_argument(parser)
+
+
+def add_limit_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the sds that may be left of constants (see `limits_of`)."""
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="NAME=SD",
+        help="a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
+        "clock=20ms; may be repeated",
+    )
+
+
+def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
+    """The limits that were asked for. Raises ValueError for what is none."""
+    from navfilter.calibration.lights import limit_of
+
+    return [limit_of(text) for text in options.limit]
 
 
 def add_unpacking_argument(parser: argparse.ArgumentParser) -> None:
