@@ -23,7 +23,7 @@ SCRIPTS = {
     "campaign_scaling": ("no other software", ()),
     "cold_start": ("no other software", ()),
     "day": ("filterpy", ("live", "replay")),
-    "faults": ("without a fault", ("missions", "outcomes", "service")),
+    "faults": ("without a fault", ("missions", "outcomes", "fault_free", "service")),
     "faults_random": ("without the fault", ()),
     "fuzz": ("no other software", ()),
     "gliders": ("plain dead reckoning", ()),
@@ -52,9 +52,11 @@ SCRIPTS = {
 }
 
 
-def ended(*arguments: str) -> str:
+def ended(*arguments: str, timeout_s: float = 300.0) -> str:
     """Output of a script that must end well."""
-    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=BENCHMARKS, timeout=300)
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, cwd=BENCHMARKS, timeout=timeout_s
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -116,6 +118,15 @@ def test_figures_are_kept_as_json(command, keys, tmp_path):
     assert set(found) == {"benchmark", "arguments", "machine", "python", "versions", "figures"}
     assert found["benchmark"] == command.split(".")[0] and "numba" in found["versions"]
     assert keys <= set(found["figures"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command", [f"{name}.py {part}".strip() for name, (_, parts) in SCRIPTS.items() for part in parts or ("",)]
+)
+def test_every_benchmark_runs(command):
+    """Nothing of what it measures is judged here; what has no recordings beside it says so."""
+    ended(*shlex.split(command), "--quick", timeout_s=3600.0)
 
 
 def test_runs_that_do_not_learn_are_taken_from_an_earlier_program(tmp_path, monkeypatch):

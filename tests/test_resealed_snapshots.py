@@ -8,6 +8,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -168,3 +169,36 @@ def test_what_does_not_fit_is_refused_in_words(dive, why):
     vehicle, data = dive
     with pytest.raises(ValueError, match=r"^the snapshot cannot be read \(.+\)\. Start afresh"):
         nf.Navigator.restore(vehicle, resealed(data, CHANGES[why]))
+
+
+def compressed(data):
+    magic, header, payload = data.split(b"\n", 2)
+    with np.load(io.BytesIO(payload)) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays | {"floats": np.zeros(10_000_000)})
+    head = json.loads(header) | {"sha256": hashlib.sha256(out.getvalue()).hexdigest(), "size": len(out.getvalue())}
+    return magic + b"\n" + json.dumps(head).encode() + b"\n" + out.getvalue()
+
+
+def all_again_and_again(saved, arrays):
+    everything = {"": "floats", "at": 0, "shape": [arrays["floats"].size]}
+    saved["time_s"] = [everything] * (80_000_000 // (8 * arrays["floats"].size))
+
+
+def all_but_one(saved, arrays):
+    saved["time_s"] = [{"": "floats", "at": 0, "shape": [-1]}] * (80_000_000 // (8 * arrays["floats"].size))
+
+
+@pytest.mark.parametrize(
+    "bomb", [compressed, *(lambda data, c=c: resealed(data, c) for c in (all_again_and_again, all_but_one))]
+)
+def test_no_snapshot_takes_more_than_it_holds(dive, bomb):
+    """Each of these would be 80 MB; what is read is the file and its arrays, twice over while they are checked."""
+    vehicle, data = dive
+    crafted = bomb(data)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="the snapshot cannot be read"):
+        nf.Navigator.restore(vehicle, crafted)
+    assert tracemalloc.get_traced_memory()[1] < 8 * len(data)
+    tracemalloc.stop()

@@ -355,6 +355,53 @@ def test_a_wild_stamp_does_not_make_the_drive_silent(dive):
     assert [e["event"] for e in events] == ["start", "stop"] and rows[-1]["sensors"]["dvl"]["outcomes"]["ahead"] == 1
 
 
+STAMPS = {
+    "stand still": lambda t: 20.0,
+    "go backwards": lambda t: 40.0 - t,
+    "creep backwards": lambda t: 20.0 - 0.01 * (t - 20.0),
+    "go round": lambda t: 20.0 + t % 0.2,
+}
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "which", "stamps"),
+    [
+        *(("reckoning", which, stamps) for which in ("all", "drive") for stamps in STAMPS),
+        ("dive", "all", "stand still"),
+        ("dive", "drive", "go backwards"),
+    ],
+)
+def test_stamps_that_do_not_rise_are_no_state_to_trust(request, vehicle, which, stamps):
+    """No new state can be told; so much is, and once they rise again, that too. Also after a restart in between."""
+    run = request.getfixturevalue(vehicle)
+    lines = []
+    for line in run.lines:
+        row = json.loads(line)
+        if 20.0 < row["time_s"] <= 40.0 and (which == "all" or row["sensor"] in run.vehicle.driving):
+            line = json.dumps({**row, "time_s": STAMPS[stamps](row["time_s"])}).encode() + b"\n"
+        lines.append(line)
+    whole = run_session(run.vehicle, lines, run.options)
+    rows, events = states(whole)
+    told = [event for event in events if event["event"] == "trust" and "no state since" in str(event["reasons"])]
+    assert told and all(event["trust"] == "lost" for event in told)
+    stale = [row for row in rows if row["trust"] == "lost" and "no state since" in str(row["reasons"])]
+    assert len(stale) == len(told) and all(20.0 <= row["time_s"] <= 21.5 for row in stale)
+    assert rows[-1]["trust"] != "lost" and rows[-1]["time_s"] > 58.0
+    end = sum(json.loads(line)["time_s"] <= 40.0 for line in run.lines)
+    assert states(run_session(run.vehicle, lines[:end], run.options))[0][-1]["time_s"] in {
+        row["time_s"] for row in rows
+    }
+    parser, out = LineParser(run.vehicle), []
+    first, second = (Session(run.vehicle, run.options, lambda line, is_state: out.append(line)) for _ in range(2))
+    for line in lines[: end - 10]:
+        first.feed(parser.parse(line))
+    second.restore(*first.snapshot())
+    for line in lines[end - 10 :]:
+        second.feed(parser.parse(line))
+    second.stop()
+    assert out == whole
+
+
 def test_warnings_of_bad_lines_are_few(dive):
     lines = []
     for line in dive.lines[:3000]:

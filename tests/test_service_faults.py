@@ -31,10 +31,11 @@ from navfilter.kernels import measurement
 from navfilter.models.magnetic import believable, declination
 from navfilter.service import kernel_cache
 from navfilter.service.counters import Tally
+from navfilter.service.disk import Disk, StateFile
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
 from navfilter.service.output import Outlet
 from navfilter.service.session import Options
-from navfilter.service.supervision import Notifier
+from navfilter.service.supervision import HealthFile, Notifier
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +150,7 @@ def test_a_torn_line_is_ended_and_written_again():
         return sent, error
 
     outlet._write = write
-    lines = [(b"one\n", True), (b"two\n", True)]
+    lines = [b"one\n", b"two\n"]
     assert outlet._send(lines, None)[0] == 0 and outlet._send(lines, None) == (2, None)
     os.close(theirs)
     with os.fdopen(ours, "rb") as reader:
@@ -234,10 +235,51 @@ def test_a_log_that_is_in_use_is_left_as_it_is(dive, tmp_path):
     first.close()
 
 
-def test_a_log_that_is_a_pipe_is_refused(dive, tmp_path):
-    os.mkfifo(tmp_path / LOG_FILE)
-    with pytest.raises(ValueError, match="no file"):
-        prepare_log(tmp_path, dive.vehicle, dive.options, resume="best", tell=pytest.fail)
+NOT_A_FILE = {
+    "pipe": lambda path, thesis: os.mkfifo(path),
+    "folder": lambda path, thesis: path.mkdir(),
+    "link": lambda path, thesis: path.symlink_to(thesis),
+    "link to itself": lambda path, thesis: path.symlink_to(path),
+    "link to nothing": lambda path, thesis: path.symlink_to("/nowhere/at/all"),
+    "link to a device": lambda path, thesis: path.symlink_to("/dev/null"),
+}
+
+
+@pytest.mark.parametrize("kind", NOT_A_FILE)
+def test_a_log_that_is_no_file_is_refused_and_on_a_restart_done_without(dive, tmp_path, capfd, kind):
+    """Nothing is written to where a link leads."""
+    (tmp_path / "log").mkdir()
+    (tmp_path / "thesis").write_text("years\nof work")
+    NOT_A_FILE[kind](tmp_path / "log" / LOG_FILE, tmp_path / "thesis")
+    for more in ([], ["--resume", "strict"]):
+        assert main(["run", *dive.arguments, "--log", str(tmp_path / "log"), *more, "--quiet"]) == 2
+        said = capfd.readouterr().err
+        assert LOG_FILE in said and said.count("\n") == 1
+    (tmp_path / "lines").write_bytes(b"".join(dive.lines[:500]))
+    arguments = [*dive.arguments, "--log", str(tmp_path / "log"), "--input", str(tmp_path / "lines")]
+    assert main(["run", *arguments, "--resume", "--quiet"]) == 0
+    said = capfd.readouterr().out
+    assert "navigating without a log" in said and '"time_s":4.0' in said
+    assert (tmp_path / "thesis").read_text() == "years\nof work"
+
+
+@pytest.mark.parametrize("name", ["vehicle.toml", "mission.toml"])
+@pytest.mark.parametrize("kind", ["file", *NOT_A_FILE])
+def test_descriptions_in_the_folder_of_a_new_log_are_put_aside(dive, tmp_path, name, kind):
+    folder = tmp_path / "log"
+    folder.mkdir()
+    (tmp_path / "thesis").write_text("years of work")
+    if kind == "file":
+        shutil.copy(tmp_path / "thesis", folder / name)
+    else:
+        NOT_A_FILE[kind](folder / name, tmp_path / "thesis")
+    log = prepare_log(folder, dive.vehicle, dive.options, resume=None, tell=print)
+    log.write(b"x\n")
+    log.close()
+    prepare_log(folder, dive.vehicle, dive.options, resume="strict", tell=print).close()
+    names = {path.name for path in folder.iterdir()}
+    assert names == {LOG_FILE, "vehicle.toml", "mission.toml", name.replace(".", ".before.")}
+    assert (tmp_path / "thesis").read_text() == "years of work" and nf.read_vehicle(folder) == dive.vehicle
 
 
 def test_garbage_does_not_fill_the_disk(dive, tmp_path):
@@ -583,6 +625,57 @@ def test_what_is_no_file_is_not_replaced_by_one(dive, tmp_path, capsys, flag):
     (tmp_path / "device").symlink_to("/dev/null")
     assert main(["run", *dive.arguments, flag, str(tmp_path / "device"), "--quiet"]) == 2
     assert "no file" in capsys.readouterr().err and (tmp_path / "device").is_symlink()
+
+
+@pytest.mark.parametrize("flag", ["--state", "--health-file"])
+@pytest.mark.parametrize(
+    "name", ["vehicle.toml", "start.json", "lines", "log/readings.jsonl", "log/snapshot", "thesis", "../x/thesis"]
+)
+def test_no_file_of_somebody_is_written_over(dive, tmp_path, capsys, flag, name):
+    folder = tmp_path / "x"
+    folder.mkdir()
+    shutil.copy(dive.toml, folder / "vehicle.toml")
+    shutil.copy(dive.start_file, folder / "start.json")
+    (folder / "lines").write_bytes(dive.lines[0])
+    (folder / "thesis").write_text("years of work")
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    given = ["--vehicle", str(folder), "--start", str(folder / "start.json"), "--input", str(folder / "lines")]
+    if name == "log/snapshot" and flag == "--state":
+        flag, given = "--state", [*given, "--health-file", str(folder / name)]
+    assert main(["run", *given, "--log", str(folder / "log"), flag, str(folder / name), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert "written over" in said and said.count("\n") == 1
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_restart_puts_a_file_that_is_none_of_its_own_aside(dive, tmp_path):
+    """No restart by a supervisor ends without navigation; an empty file is what a power cut leaves."""
+    for name in ("state", "health"):
+        (tmp_path / name).write_text("years of work")
+    arguments = ["--resume", "--state", tmp_path / "state", "--health-file", tmp_path / "health"]
+    for _ in range(2):
+        process = Process(*dive.arguments, *arguments, "--quiet")
+        process.send(dive.lines[:2000])
+        process.end()
+        assert process.code == 0
+        assert (tmp_path / "state").read_bytes().startswith(StateFile.MAGIC)
+        assert json.loads((tmp_path / "health").read_bytes())["phase"] == "stopped"
+        assert {path.read_text() for path in tmp_path.glob("*.refused")} == {"years of work"}
+        (tmp_path / "health").write_bytes(b"")
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_what_is_written_beside_follows_no_link_and_waits_for_no_pipe(tmp_path, kind):
+    (tmp_path / "thesis").write_text("years of work")
+    for name in ("state", "health"):
+        NOT_A_FILE[kind](tmp_path / f"{name}.part", tmp_path / "thesis")
+    disk, health = Disk(None, tmp_path / "state", 1.0, pytest.fail), HealthFile(tmp_path / "health", pytest.fail)
+    disk.snapshot(b"{}\n", b"")
+    health.put({"phase": "navigating"})
+    assert disk.close()
+    health.close()
+    assert StateFile.is_one(tmp_path / "state") and HealthFile.is_one(tmp_path / "health")
+    assert (tmp_path / "thesis").read_text() == "years of work"
 
 
 def test_a_health_file_that_cannot_be_written_is_said_once(dive):

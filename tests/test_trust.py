@@ -15,8 +15,10 @@ import scipy.io
 from navfilter.commands.cli import main
 from navfilter.io import read_mission, read_vehicle
 from navfilter.io.containers import read_npz
+from navfilter.io.logs.survey import survey
+from navfilter.io.row_conditions import Where
 from navfilter.io.series import read_series
-from navfilter.io.tables import read_table
+from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.trust import Allowance, Place
 from navfilter.models.mission import Mission, MissionError, Stream
 
@@ -56,6 +58,63 @@ def test_what_files_unpack_to_is_bounded(tmp_path, name):
     with pytest.raises(MissionError, match=TOO_MUCH):
         read_table(Place(path, str(path), allowance=Allowance(SMALL)))
     assert read_table(Place(path, str(path), allowance=Allowance(10 * SMALL))).columns
+
+
+@pytest.mark.parametrize("where", ({"equals": "A"}, {"at_least": 0.0}))
+def test_rows_that_are_chosen_are_bounded_too(tmp_path, where):
+    """Where rows are chosen by a text only those are kept; the others have to be unpacked as well."""
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(gzip.compress(b"kind,depth\n" + b"A,1\n" + b"B,2\n" * (2 * SMALL)))
+    column = "kind" if "equals" in where else "depth"
+    options = TableOptions(where=(Where(column=column, **where),))
+    with pytest.raises(MissionError, match=TOO_MUCH):
+        read_table(Place(path, str(path), allowance=Allowance(SMALL)), options)
+    assert read_table(Place(path, str(path), allowance=Allowance(10 * SMALL)), options).columns
+
+
+def test_a_compressed_log_is_bounded(tmp_path, capsys):
+    path = tmp_path / "x.alog.gz"
+    path.write_bytes(gzip.compress(b"%% LOGSTART 1\n" + b"0.1 DEPTH a 1.5\n" * SMALL))
+    with pytest.raises(MissionError, match=TOO_MUCH):
+        survey(path, SMALL)
+    assert survey(path, 20 * SMALL).topics
+    for command in ("mission", "check"):
+        assert main([command, str(path), "--max-unpacked", "0.0001"]) == 2
+        assert "--max-unpacked" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", ["mcap zstd", "db3 message", "db3 file", "bag bz2", "bag lz4"])
+def test_no_piece_of_a_bag_unpacks_to_more_than_is_allowed(tmp_path, how):
+    """A chunk is unpacked whole and then forgotten, so each of them counts and not their sum."""
+    rosbag1, rosbag2 = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    storage, _, mode = how.partition(" ")
+    store = get_typestore(Stores.ROS1_NOETIC if storage == "bag" else Stores.ROS2_HUMBLE)
+    path, kind = tmp_path / ("x.bag" if storage == "bag" else "x"), "std_msgs/msg/String"
+    if storage == "bag":
+        writer = rosbag1.Writer(path)
+        writer.set_compression(writer.CompressionFormat[mode.upper()])
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if storage == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
+        writer.set_compression(
+            {"zstd": rosbag2.CompressionMode.STORAGE, "message": rosbag2.CompressionMode.MESSAGE}.get(
+                mode, rosbag2.CompressionMode.FILE
+            ),
+            rosbag2.CompressionFormat.ZSTD,
+        )
+    message = store.types[kind]("x" * (8 * SMALL))
+    raw = store.serialize_ros1(message, kind) if storage == "bag" else store.serialize_cdr(message, kind)
+    with writer:
+        topic = writer.add_connection("/text", kind, typestore=store)
+        for k in range(3):
+            writer.write(topic, 10**18 + k, raw)
+    pieces = [file for file in [path, *path.rglob("*")] if file.is_file()]
+    assert sum(file.stat().st_size for file in pieces) < SMALL
+    with pytest.raises(MissionError, match=TOO_MUCH):
+        survey(path, SMALL)
+    assert survey(path, 26 * SMALL).topics[0].count == 3
 
 
 def test_the_bound_is_that_of_all_files_of_a_mission_and_can_be_raised(tmp_path, capsys):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from navfilter.calibration.calibrate import TOO_MUCH, Calibration, Found
+from navfilter.calibration.lights import check_limits, lit
+from navfilter.calibration.parts import Constant
 from navfilter.calibration.validation import Prediction
 from navfilter.check.units_text import amount
 
@@ -16,31 +18,43 @@ _SHOWN = {"rad": ("deg", math.pi / 180.0), "1": ("%", 1e-2)}
 _WIDTH = 30
 
 
-def calibration_text(result: Calibration) -> str:
+def calibration_text(result: Calibration, limits: Sequence[tuple[str, float, str]] = ()) -> str:
     """The table of a calibration, what it is worth, and remarks.
 
     Parameters
     ----------
     result : Calibration
+    limits : sequence of (str, float, str)
+        Of the sds that may be left, see `navfilter.calibration.lights.limit_of`.
+
+    Raises
+    ------
+    ValueError
+        For a limit that fits no constant, or has another dimension.
     """
-    lines = [f"{'constant':{_WIDTH}} {'described':>20}  {'found':>20}"]
-    lines += [_row(one) for one in result.found]
+    described = [
+        Constant(f.name, f.part, f.name.rpartition(".")[2], f.unit, f.before, f.before_sd, False) for f in result.found
+    ]
+    check_limits(limits, described)
+    lights = [lit(one, f.value, f.sd, limits).colour for one, f in zip(described, result.found, strict=True)]
+    lines = [f"{'constant':{_WIDTH}} {'described':>20}  {'found':>20}  {'light':>7}"]
+    lines += [_row(one, light) for one, light in zip(result.found, lights, strict=True)]
     lines += ["", *_worth(result)]
     return "\n".join([*lines, *_remarks(result)])
 
 
-def _row(one: Found) -> str:
+def _row(one: Found, light: str) -> str:
     unit, size = _SHOWN.get(one.unit, (one.unit.replace("_per_", "/").replace("_", "/"), 1.0))
     digits = max(3, 2 - math.floor(math.log10(one.before_sd / size)))  # a field may be in tesla
     both = (one.before, one.before_sd), (one.value, one.sd)
     before, found = (f"{v / size:.{digits}f} +- {sd / size:.{digits}f}" for v, sd in both)
     label = f"{one.name} [{unit}]"
     if not one.told:
-        return f"{label:{_WIDTH}} {before:>20}  {'not told':>20}"
+        return f"{label:{_WIDTH}} {before:>20}  {'not told':>20}  {light:>7}"
     away = abs(one.value - one.before) / one.before_sd
     if not one.believed:
-        return f"{label:{_WIDTH}} {before:>20}  {'not believed':>20}  {away:.1f} sd off"
-    return f"{label:{_WIDTH}} {before:>20}  {found:>20}" + (f"  {away:.1f} sd off" if away > 2.5 else "")
+        return f"{label:{_WIDTH}} {before:>20}  {'not believed':>20}  {light:>7}  {away:.1f} sd off"
+    return f"{label:{_WIDTH}} {before:>20}  {found:>20}  {light:>7}" + (f"  {away:.1f} sd off" if away > 2.5 else "")
 
 
 def _worth(result: Calibration) -> Iterator[str]:

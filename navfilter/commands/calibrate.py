@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 from navfilter.commands.console import (
     add_force_argument,
+    add_limit_argument,
     add_reading_arguments,
     compile_first,
+    limits_of,
     new_files,
     positive,
     speaker,
@@ -37,6 +39,9 @@ found. The missions are then cut into stretches of up to a minute, dealt out to 
 the constants are estimated again, and the filter predicts the fixes of that part, with the old and with the new
 constants. Only when the new ones predict them better are they kept. Without any fixes, all readings of stretches of
 30 s are withheld and judged by their likelihood.
+
+A light says how far each constant is told: green where its sd is no more than the limit (--limit, else 40 % of the sd
+that was described), orange up to twice that, red beyond.
 
 "not told" means that the missions leave more than 80 % of the sd that was described: turn more, vary the speed, or
 give fixes. A constant is only known against the others: the inertial unit's clock and place are the reference; of dead
@@ -89,6 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", metavar="PATH", help="write the table as JSON too")
     add_force_argument(parser)
+    add_limit_argument(parser)
     add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -104,6 +110,7 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     new_files([out, *([Path(options.json)] if options.json else [])], options.force)
     vehicle = read_vehicle(options.vehicle)
+    limits_of(options)  # a mistake in them shall not cost a calibration
     limits = {"confine": options.confine, "unpacked_bytes": unpacked_bytes(options)}
     missions = [read_mission(path, **limits) for path in options.mission]
     single, missions, unit = _of_one_unit(vehicle, missions, options.imu)
@@ -118,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
     say = speaker(options.quiet)
     if not options.quiet:
         _progress("")
-    say(calibration_text(result))
+    say(calibration_text(result, limits_of(options)))
     found = vehicle.with_lane(unit, result.vehicle)
     names = ", ".join(mission.name for mission in missions)
     copied = write_calibrated(found, vehicle, out, options.vehicle, f"found by navfilter calibrate: {names}")

@@ -28,6 +28,7 @@ from navfilter.commands.console import (
     read,
     seed,
     speaker,
+    unpacked_bytes,
 )
 
 __all__ = ["main"]
@@ -299,13 +300,13 @@ def _check(options: argparse.Namespace) -> int:
     from navfilter.io import read_vehicle
 
     say = speaker(options.quiet)
-    mission = _of_a_log(Path(options.mission), say) or read(options)
+    mission = _of_a_log(Path(options.mission), say, unpacked_bytes(options)) or read(options)
     findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
     say(report_text(mission, findings))
     return FOUND if any(finding.severity == "error" for finding in findings) else OK
 
 
-def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
+def _of_a_log(path: Path, say: Callable[[str], None], limit: int) -> Any:
     """A bare log as the mission that ``navfilter mission --init`` would make of it; None for a mission."""
     from navfilter.io.logs import format_of
 
@@ -315,7 +316,7 @@ def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
     from navfilter.io.logs.draft import draft
     from navfilter.io.logs.survey import survey, survey_text
 
-    found = survey(path)
+    found = survey(path, limit)
     say(survey_text(found))
     made = draft(found, path.parent)
     say("\nMapped as 'navfilter mission --init' would. Guessed:")

@@ -18,6 +18,7 @@ from navfilter.commands.console import (
     output_folder,
     positive,
     read,
+    show,
     speaker,
 )
 
@@ -256,9 +257,9 @@ def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] 
 
 def print_comparison(comparison: Comparison, mission: Mission) -> None:
     """The table on standard output."""
-    print(f"\n{comparison}")
+    show(f"\n{comparison}")
     if mission.truth is None:
-        print("(no truth in this mission: only what the readings themselves tell)")
+        show("(no truth in this mission: only what the readings themselves tell)")
 
 
 def write_results(

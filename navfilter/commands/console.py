@@ -11,23 +11,28 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from navfilter.foundation.quoting import printable
+
 if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
 
 __all__ = [
     "add_force_argument",
+    "add_limit_argument",
     "add_reading_arguments",
     "add_unpacking_argument",
     "announce_compilation",
     "compile_first",
     "complain",
+    "limits_of",
     "new_files",
     "output_folder",
     "positive",
     "read",
     "row_rate",
     "seed",
+    "show",
     "speaker",
     "unpacked_bytes",
 ]
@@ -57,13 +62,13 @@ def seed(text: str) -> int:
 
 
 def speaker(quiet: bool) -> Callable[[str], None]:
-    """A print that says nothing when `quiet`."""
+    """`show`, or what says nothing when `quiet`."""
+    return (lambda text: None) if quiet else show
 
-    def say(text: str) -> None:
-        if not quiet:
-            print(text, flush=True)
 
-    return say
+def show(text: str) -> None:
+    """Print a text; whatever stands in it out of somebody's files steers no terminal."""
+    print(printable(text), flush=True)
 
 
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +79,25 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         help="refuse a mission that leads out of its folder: for one of people you do not know",
     )
     add_unpacking_argument(parser)
+
+
+def add_limit_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the sds that may be left of constants (see `limits_of`)."""
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="NAME=SD",
+        help="a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
+        "clock=20ms; may be repeated",
+    )
+
+
+def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
+    """The limits that were asked for. Raises ValueError for what is none."""
+    from navfilter.calibration.lights import limit_of
+
+    return [limit_of(text) for text in options.limit]
 
 
 def add_unpacking_argument(parser: argparse.ArgumentParser) -> None:
@@ -164,7 +188,7 @@ def complain(text: str) -> None:
         with contextlib.suppress(OSError, ValueError):
             if not select.select([], [sys.stderr.fileno()], [], 1.0)[1]:
                 return
-        print(text, file=sys.stderr, flush=True)
+        print(printable(text), file=sys.stderr, flush=True)
 
 
 def announce_compilation(say: Callable[[str], None]) -> bool:

@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.commands import noise_sheet
-from navfilter.commands.console import add_force_argument, add_unpacking_argument, output_folder, unpacked_bytes
+from navfilter.commands.console import (
+    add_force_argument,
+    add_unpacking_argument,
+    complain,
+    output_folder,
+    show,
+    unpacked_bytes,
+)
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -227,12 +234,12 @@ def _batch(options: argparse.Namespace, series: Any, folder: Path | None, say: A
         write_identification(found, folder, options.unit)
     say("")
     if options.json:
-        print(json.dumps(as_dict(found, options.unit), indent=1))
+        show(json.dumps(as_dict(found, options.unit), indent=1))
     elif not options.quiet:
-        print(f"{series.name} of {series.source}")
-        print(summary_text(found, options.unit))
+        show(f"{series.name} of {series.source}")
+        show(summary_text(found, options.unit))
         if folder is not None:
-            print(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
+            show(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
     return 0
 
 
@@ -255,11 +262,11 @@ def _online(options: argparse.Namespace, series: Any, folder: Path, say: Any) ->
     write_tracks(tracks, folder, options.unit)
     say("")
     if not options.quiet:
-        print(f"{series.name} of {series.source}, windows of {options.window} samples")
-        print(tracks_text(tracks, options.unit))
+        show(f"{series.name} of {series.source}, windows of {options.window} samples")
+        show(tracks_text(tracks, options.unit))
         for note in tracks.data.notes:
-            print(f"note: {note}")
-        print(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, tracks.csv, tracks.svg")
+            show(f"note: {note}")
+        show(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, tracks.csv, tracks.svg")
     return 0
 
 
@@ -270,7 +277,7 @@ def _busy(quiet: bool) -> Iterator[Any]:
         yield lambda text: None
         return
     if not sys.stderr.isatty():
-        yield lambda text: print(f"{text} ...", file=sys.stderr, flush=True) if text else None
+        yield lambda text: complain(f"{text} ...") if text else None
         return
     from tqdm import tqdm
 

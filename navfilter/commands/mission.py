@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from navfilter.commands.console import speaker
+from navfilter.commands.console import add_unpacking_argument, speaker, unpacked_bytes
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -41,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
     parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
+    add_unpacking_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(
             f"{' and '.join(there)}: there already; choose another folder with --out, or --force to replace."
         )
-    found = survey(Path(options.log))
+    found = survey(Path(options.log), unpacked_bytes(options))
     say(survey_text(found))
     if not options.init:
         return OK

@@ -10,7 +10,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from navfilter.commands.console import add_force_argument, compile_first, output_folder, positive, seed, speaker
+from navfilter.commands.console import (
+    add_force_argument,
+    compile_first,
+    complain,
+    output_folder,
+    positive,
+    seed,
+    show,
+    speaker,
+)
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -102,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
     if options.list:
         width = max(map(len, STUDIES))
         for name, study in STUDIES.items():
-            print(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
+            show(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
         return 0
     scenario = options.name or options.scenario
     if scenario is None or (options.scenario or scenario) != scenario:
@@ -159,7 +168,7 @@ def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], fo
             results = run_campaign(campaign, seeds, models, folder, executor, progress)
         except KeyboardInterrupt:
             kept = len(list((folder / "runs").rglob("*.npz")))
-            print(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.", file=sys.stderr)
+            complain(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.")
             raise
     from navfilter.evaluation.montecarlo.tables import table, write_tables
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands.console import complain, unpacked_bytes
+from navfilter.commands.console import complain, show, unpacked_bytes
 
 if TYPE_CHECKING:
     from navfilter.io.inertial import ImuRecord
@@ -84,12 +84,12 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
         write_sheet(sheet, record, folder)
     say("")
     if options.json:
-        print(json.dumps(as_dict(sheet), indent=1))
+        show(json.dumps(as_dict(sheet), indent=1))
     elif not options.quiet:
-        print(sheet_text(sheet))
+        show(sheet_text(sheet))
         if folder is not None:
             files = "identify.html (open this one), identify.json, drive.toml, figures (.svg)"
-            print(f"Written to {folder}{os.sep}: {files}")
+            show(f"Written to {folder}{os.sep}: {files}")
     if sheet.moving:
         complain(f"navfilter: {sheet.verdict}")
         return FOUND

@@ -20,7 +20,7 @@ from navfilter.commands.console import complain, output_folder, speaker
 __all__ = ["Replayed", "labels", "replay_all"]
 
 #: Files of the whole: the same figures as a table and for programs.
-TABLE, SUMMARY = "recordings.csv", "recordings.json"
+TABLE, SUMMARY, CONSTANTS = "recordings.csv", "recordings.json", "constants.html"
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,8 @@ def replay_all(
     rows = [done[name] for name in names]
     _write(rows, folder)
     say(_table(rows))
-    say(f"Written to {folder}: {TABLE}, {SUMMARY}, and a folder for each recording.")
+    constants = _write_constants([row.recording for row in rows if row.exit_code < 2], folder)
+    say(f"Written to {folder}: {TABLE}, {SUMMARY}, {constants}and a folder for each recording.")
     for row in rows:
         if row.exit_code == 2:
             complain(f"navfilter: {row.recording}: {row.verdict}")
@@ -154,6 +155,33 @@ def _write(rows: list[Replayed], folder: Path) -> None:
         writer = csv.DictWriter(file, list(plain[0]))
         writer.writeheader()
         writer.writerows(plain)
+
+
+def _write_constants(names: list[str], folder: Path) -> str:
+    """A page of what each recording found of every constant, and whether they agree; its name, or nothing."""
+    from navfilter.calibration.lights import Light, agreement
+    from navfilter.rendering.page import page
+    from navfilter.report.constant_table import AGREEMENT, agreement_html
+
+    said = [json.loads((folder / name / "summary.json").read_text(encoding="utf-8")) for name in names]
+    each = [
+        {
+            key: Light(key, **{field: value for field, value in one.items() if field != "light"})
+            for key, one in found.get("constants", {}).items()
+        }
+        for found in said
+    ]
+    found = {}
+    for key in dict.fromkeys(key for lights in each for key in lights):
+        lights = [one.get(key) for one in each]
+        there = [light for light in lights if light is not None]
+        found[key] = agreement([light.to_dict() for light in there]), there[0].unit, lights
+    if len(names) < 2 or not found:
+        return ""
+    body = [agreement_html(names, found), f"<p>{AGREEMENT}</p>"]
+    text = page("Constants", "Constants", f"{len(names)} recordings, vehicle {said[0]['vehicle']}.", body)
+    (folder / CONSTANTS).write_text(text, encoding="utf-8")
+    return f"{CONSTANTS} (whether they agree on the constants), "
 
 
 def _table(rows: list[Replayed]) -> str:

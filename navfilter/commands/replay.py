@@ -15,13 +15,17 @@ from typing import TYPE_CHECKING, Any
 from navfilter.commands import formats, mission_part
 from navfilter.commands.console import (
     add_force_argument,
+    add_limit_argument,
     add_reading_arguments,
     compile_first,
+    complain,
+    limits_of,
     output_folder,
     positive,
     read,
     row_rate,
     seed,
+    show,
     speaker,
 )
 
@@ -86,6 +90,7 @@ examples:
   navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
   navfilter replay dives/* --vehicle vehicle.toml --smooth --out season --workers 4     each to a folder of its own
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
+  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit dvl.scale=0.1%
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
 """,
@@ -183,6 +188,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
     )
+    add_limit_argument(parser)
     mission_part.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
@@ -229,13 +235,14 @@ def replay_one(options: argparse.Namespace) -> int:
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     mission, withheld = mission_part.select(options, read(options), vehicle)
     formats.check(options, mission)
+    limits = limits_of(options)
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     how = {"output_rate_hz": options.output_rate}
     how |= {"passes": options.passes} if options.passes != 1 else {"smooth": options.smooth}
     track = _replayed(vehicle, mission, options.quiet, **how)
-    return _write(track, mission, folder, options, withheld, options.vehicle, options.report)
+    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -272,13 +279,14 @@ def _write(
     withheld: Sequence[Withheld] = (),
     vehicle_file: str | None = None,
     drawn: bool = True,
+    limits: Sequence[tuple[str, float, str]] = (),
 ) -> int:
     """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
     tracks = labelled(track)
-    assessment = assess(tracks, mission, withheld)
+    assessment = assess(tracks, mission, withheld, limits)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
     report = folder / "report.html"
@@ -288,12 +296,12 @@ def _write(
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
         _print_result(tracks, mission, assessment)
-        print(f"Written to {folder}{os.sep}:")
-        print(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
+        show(f"Written to {folder}{os.sep}:")
+        show(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
     if assessment.verdict.trusted:
         return 0
     where = report if drawn else folder / "summary.json"
-    print(f"navfilter: {assessment.verdict.headline} See {where}.", file=sys.stderr)
+    complain(f"navfilter: {assessment.verdict.headline} See {where}.")
     return NOT_TRUSTED
 
 
@@ -307,15 +315,18 @@ def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assess
 
 
 def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:
+    from navfilter.report.constant_table import lights_text
     from navfilter.report.run_tables import headline_table, sensor_table
 
     result = list(tracks.values())[-1]
     if mission.truth is not None:
-        print(f"{headline_table(tracks, mission)}\n")
-    print(f"{sensor_table(result)}\n")
+        show(f"{headline_table(tracks, mission)}\n")
+    show(f"{sensor_table(result)}\n")
     for line in assessment.lines():
-        print(line)
+        show(line)
     for learnt in assessment.learnt:
-        print(f"learnt: {learnt}")
-    print(f"\n{assessment.verdict}")
-    print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")
+        show(f"learnt: {learnt}")
+    if assessment.lights:
+        show(lights_text(assessment.lights))
+    show(f"\n{assessment.verdict}")
+    show(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")

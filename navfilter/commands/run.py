@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.commands.console import announce_compilation, positive
+from navfilter.foundation.quoting import printable
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -157,7 +158,7 @@ def run(options: argparse.Namespace) -> int:
 
     def say(text: str) -> None:
         if not options.quiet:
-            operator.put(f"navfilter run: {text}\n".encode(), False)
+            operator.put(f"navfilter run: {printable(text)}\n".encode(), False)
 
     try:
         if 1 in closed and options.listen is None:
@@ -192,6 +193,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     date = options.date or datetime.datetime.now(datetime.UTC).date()
     decides = Options(rate_hz=options.rate_hz or 1.0, align_s=options.align, start=_start(options.start), date=date)
     log = None if options.log is None else Path(options.log)
+    _check_replaced(options, log, say)
     state = log / "snapshot" if options.state is None and log is not None else options.state
     service = Service(
         input=_input(options),
@@ -217,9 +219,47 @@ def _check(options: argparse.Namespace) -> None:
     others = (options.log, options.state, options.start, options.resume, options.source)
     if options.replay_log is not None and any(others):
         raise ValueError("--replay-log feeds a log as it is: leave out --log, --state, --start, --resume and --source.")
-    for name, path in (("--state", options.state), ("--health-file", options.health_file)):
-        if path is not None and os.path.exists(path) and not os.path.isfile(path):
-            raise ValueError(f"{name} {path} is no file: it would be replaced. Give another name.")
+
+
+def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable[[str], None]) -> None:
+    """What a run writes over and over is no file of somebody's, and none that the same run needs."""
+    from navfilter.io.vehicle_toml import vehicle_file
+    from navfilter.service.disk import StateFile
+    from navfilter.service.log import LOG_FILE
+    from navfilter.service.supervision import HealthFile
+
+    needed = [vehicle_file(options.vehicle), *filter(None, (options.start, options.input))]
+    if log is not None:
+        needed += [log / name for name in (LOG_FILE, "mission.toml", "vehicle.toml")]
+        needed += [log / "snapshot"] * (options.state is None)
+    for flag, given, is_one in (
+        ("--state", options.state, StateFile.is_one),
+        ("--health-file", options.health_file, HealthFile.is_one),
+    ):
+        if given is None:
+            continue
+        path = Path(given)
+        if any(_same(path, other) or _same(path.with_name(f"{path.name}.part"), other) for other in needed):
+            raise ValueError(f"{flag} {path} would be written over, and this run needs it. Give another name.")
+        needed.append(path)
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{flag} {path} is no file: it would be replaced. Give another name.")
+        if not path.exists() or path.stat().st_size == 0 or is_one(path):
+            continue
+        if options.resume is None:
+            raise ValueError(
+                f"{flag} {path} is another file, and would be written over. Move it away, or give another name."
+            )
+        if flag == "--health-file":  # what becomes of a snapshot is the policy's business
+            path.replace(path.with_name(f"{path.name}.refused"))
+            say(f"{path} was no file of navfilter run: it is {path.name}.refused now")
+
+
+def _same(path: Path, other: str | Path) -> bool:
+    """Whether two names are those of one file, also before there is one."""
+    if os.path.exists(path) and os.path.exists(other):
+        return os.path.samefile(path, other)
+    return os.path.realpath(path) == os.path.realpath(other)
 
 
 def _input(options: argparse.Namespace) -> int | tuple[str, int] | None:

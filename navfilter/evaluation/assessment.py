@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from navfilter.calibration.lights import Light
+from navfilter.evaluation.calibration_states import constant_lights
 from navfilter.evaluation.fix_reacquisition import Evidence, evidence
 from navfilter.evaluation.learned_text import LearnedText, learnt
 from navfilter.evaluation.verdict import Verdict, judge
@@ -30,12 +32,15 @@ class Assessment:
         What every axis has learnt.
     scores : dict of str to tuple of Score
         Against the fixes withheld, by label of the run; empty where none were.
+    lights : tuple of Light
+        How far each constant is told.
     """
 
     evidence: Evidence
     verdict: Verdict
     learnt: tuple[LearnedText, ...] = ()
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
+    lights: tuple[Light, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
@@ -43,6 +48,8 @@ class Assessment:
         own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
         if self.learnt:
             own["learnt"] = {found.title: found.to_dict() for found in self.learnt}
+        if self.lights:
+            own["constants"] = {light.name: light.to_dict() for light in self.lights}
         return {**own, **({"withheld": scores} if scores else {})}
 
     def remarks(self, mission: str) -> dict[str, str]:
@@ -60,7 +67,12 @@ class Assessment:
         yield from self.evidence.lines()
 
 
-def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Withheld] = ()) -> Assessment:
+def assess(
+    tracks: Mapping[str, Track],
+    mission: Mission,
+    withheld: Sequence[Withheld] = (),
+    limits: Sequence[tuple[str, float, str]] = (),
+) -> Assessment:
     """Assess a run.
 
     Parameters
@@ -71,6 +83,13 @@ def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Wit
         As it was replayed.
     withheld : sequence of Withheld
         Readings that the filter did not get, see `navfilter.playback.held_out.withhold`.
+    limits : sequence of (str, float, str)
+        Of the sds of constants, see `navfilter.calibration.lights.limit_of`.
+
+    Raises
+    ------
+    ValueError
+        For a limit of no constant.
     """
     scores = {}
     for label, track in tracks.items():
@@ -79,4 +98,4 @@ def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Wit
             scores[label] = found
     result = list(tracks.values())[-1]
     own = evidence(result)
-    return Assessment(own, judge(result, mission, own), learnt(result), scores)
+    return Assessment(own, judge(result, mission, own), learnt(result), scores, constant_lights(result, limits))

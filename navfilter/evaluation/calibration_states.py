@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from scipy.special import ndtr, ndtri
 
+from navfilter.calibration.lights import Light, check_limits, lit
+from navfilter.calibration.parts import constants_of
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
 from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.track.track import Track
 
-__all__ = ["Constant", "constant_doubts", "constants"]
+__all__ = ["Constant", "constant_doubts", "constant_lights", "constants"]
 
 
 class Constant(NamedTuple):
@@ -61,6 +63,28 @@ def constants(track: Track) -> tuple[Constant, ...]:
         for owner, name, p in given
         if p.sd and name in at and math.isfinite(track.states_sd[-1, at[name]])
     )
+
+
+def constant_lights(track: Track, limits: Sequence[tuple[str, float, str]] = ()) -> tuple[Light, ...]:
+    """How far a run has told each constant; of a smoothed one those are the constants of all its time.
+
+    Parameters
+    ----------
+    track : Track
+    limits : sequence of (str, float, str)
+        Of the sds that may be left, see `navfilter.calibration.lights.limit_of`.
+
+    Raises
+    ------
+    ValueError
+        For a limit that fits no constant of the run, or has another dimension.
+    """
+    found = {one.name: one for one in constants(track)}
+    there = [one for one in constants_of(track.vehicle) if one.name in found]
+    check_limits(limits, there)
+    # the state of a clock or a lever arm is what comes on top of its key
+    pairs = [(one, found[one.name]) for one in there]
+    return tuple(lit(one, one.value + state.value - state.given, state.sd, limits) for one, state in pairs)
 
 
 def constant_doubts(run: Track, far: float, untold: float) -> Iterator[Finding]:

@@ -273,6 +273,9 @@ def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
         known[kind.__name__] = kind
         queue += kind.__subclasses__()
 
+    # each element stands for one place of the state: what refers to them again and again would be larger than the file
+    left = {kind: arrays[kind].size for kind in ("floats", "integers")}
+
     def value(v: Any) -> Any:
         if isinstance(v, list):
             return [value(item) for item in v]
@@ -281,6 +284,9 @@ def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
         kind = v[""]
         if kind in ("floats", "integers"):
             shape = tuple(int(n) for n in v["shape"])
+            left[kind] -= math.prod(shape)
+            if min(shape, default=0) < 0 or left[kind] < 0:
+                raise ValueError(f"it has more {kind} than it holds")
             part = arrays[kind][v["at"] : v["at"] + math.prod(shape)]
             return np.array(part, dtype=np.float64 if kind == "floats" else np.int64).reshape(shape)
         if kind == "bytes":

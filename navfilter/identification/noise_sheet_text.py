@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR, STANDARD_GRAVITY
+from navfilter.foundation.quoting import one_line
 from navfilter.identification.noise_sheet import AllanCurve, AxisSheet, NoiseSheet
 from navfilter.identification.noise_terms import NoiseFit
 from navfilter.identification.report import plain
@@ -169,7 +170,7 @@ def drive_toml(sheet: NoiseSheet) -> str:
         Noise as it was found. How far the biases may lie off at the start is that of this one record.
     """
     lines = [
-        f"# From {sheet.source.rsplit('/', 1)[-1]}: {sheet.verdict}",
+        one_line(f"# From {sheet.source.rsplit('/', 1)[-1]}: {sheet.verdict}"),
         "[drive]",
         'type = "imu"',
         f"rate_hz = {float(f'{sheet.rate_hz:.4g}'):g}",

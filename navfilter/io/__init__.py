@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from navfilter.io.trust import UNPACKED_BYTES
-from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
 from navfilter.models.mission import Mission, MissionError
 
+if TYPE_CHECKING:
+    from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
+
 __all__ = ["VehicleError", "read_mission", "read_vehicle", "write_vehicle"]
+
+
+def __getattr__(name: str) -> Any:
+    """What reads vehicles brings all that they may consist of, and its kernels: only when it is asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from navfilter.io import vehicle_toml
+
+    return getattr(vehicle_toml, name)
 
 
 def read_mission(

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.foundation.quoting import one_line, toml_key
 from navfilter.io.learned_toml import closing
 from navfilter.io.vehicle_keys import spellings
-from navfilter.io.vehicle_toml import VehicleError, quoted_key, read_vehicle, write_vehicle
+from navfilter.io.vehicle_toml import VehicleError, read_vehicle, vehicle_file, write_vehicle
 from navfilter.models.vehicle import Vehicle
 
 __all__ = ["write_calibrated"]
@@ -68,7 +69,7 @@ def write_calibrated(
     """
     path = Path(path)
     if source is not None:
-        file = Path(source) / "vehicle.toml" if Path(source).is_dir() else Path(source)
+        file = vehicle_file(source)
         text = file.read_text(encoding="utf-8")
         try:
             for part, new, old in _parts(vehicle, before):
@@ -113,7 +114,7 @@ def _keys(new: Any, old: Any) -> dict[str, str]:
         for name, value, sd in calibrated:
             angle = units.get(name) == "rad"
             key = f"{name}{'_deg' if angle else ''}"
-            each.append(f"{quoted_key(key)} = {_text((value, sd), angle)}")
+            each.append(f"{toml_key(key)} = {_text((value, sd), angle)}")
         keys["calibrated"] = f"calibrated = {{{', '.join(each)}}}"
     return keys
 
@@ -154,7 +155,7 @@ def _in_section(text: str, begin: int, end: int, keys: Mapping[str, str], remark
                 comment = rest[0].strip()
                 kept = f"{comment}\n" if comment.startswith("#") else ""
                 body = body[: found.start()] + kept + (rest[1] if len(rest) > 1 else "")
-    lines = [f"# {remark}"] * bool(remark) + list(keys.values())
+    lines = [f"# {one_line(remark)}"] * bool(remark) + list(keys.values())
     body = body if body.endswith("\n") else f"{body}\n"
     # what stands behind the last key of a section is a comment on the next one
     at = _last_key(body)

@@ -138,7 +138,10 @@ def read_imu(
         return _of_mission(path, stream, unpacked_bytes)
     if _is_mission(Path(text)):
         return _of_mission(text, "imu", unpacked_bytes)
-    if not (columns.gyro or columns.accel) and (found := _of_log(Path(text), options.topic)) is not None:
+    if (
+        not (columns.gyro or columns.accel)
+        and (found := _of_log(Path(text), options.topic, unpacked_bytes)) is not None
+    ):
         return found
     table = read_table(Place(Path(text), text, True, Allowance(unpacked_bytes)), options)
     return _of_table(table, columns)
@@ -180,7 +183,7 @@ def _of_stream(source: str, stream: Stream, notes: Sequence[str]) -> ImuRecord:
     return _on_a_grid(source, stream.time_s, axes, None, list(notes))
 
 
-def _of_log(path: Path, topic: str) -> ImuRecord | None:
+def _of_log(path: Path, topic: str, unpacked_bytes: int) -> ImuRecord | None:
     """The first inertial unit of a log; None where it is none, or where its columns have to be found like those of any
     table.
     """
@@ -191,7 +194,7 @@ def _of_log(path: Path, topic: str) -> ImuRecord | None:
 
     if not (path.is_dir() or "*" in path.name or (path.is_file() and format_of(path))):
         return None
-    found = survey(path)
+    found = survey(path, unpacked_bytes)
     units = [(t, use) for t, use in uses_of(found) if use.reading == "imu" and (not topic or topic in (t.name, t.kind))]
     if not units:
         if topic:

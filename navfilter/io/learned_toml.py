@@ -7,7 +7,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, write_vehicle
+from navfilter.foundation.quoting import one_line
+from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, vehicle_file, write_vehicle
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle
@@ -51,7 +52,7 @@ def write_learned(
     """
     path = Path(path)
     if source is not None:
-        file = Path(source) / "vehicle.toml" if Path(source).is_dir() else Path(source)
+        file = vehicle_file(source)
         try:
             path.write_text(_edited(file.read_text(encoding="utf-8"), vehicle, remarks or {}), encoding="utf-8")
             if _same(read_vehicle(path), vehicle):
@@ -105,7 +106,7 @@ def _with_models(
     else:
         each = (f"{axis} = {_with_adopted(value, model)}" for axis, model in zip(axes, models, strict=True))
         new = "{" + ", ".join(each) + "}"
-    comment = f"# {remark}\n" if remark else ""
+    comment = f"# {one_line(remark)}\n" if remark else ""
     return text[: found.start()] + comment + text[found.start() : first] + new + text[last:]
 
 

@@ -100,7 +100,7 @@ class _Reader:
     def __init__(self, folder: Path, spec: MissionSpec, confine: bool, allowance: Allowance) -> None:
         self.folder, self._confine, self._allowance = folder, confine, allowance
         self.notes: list[str] = []
-        self._shelf = Shelf(_wanted_of_logs(spec, folder))
+        self._shelf = Shelf(_wanted_of_logs(spec, folder), allowance)
         self._tables: dict[tuple[Place, TableOptions], Table] = {}
 
     def place(self, file: str) -> Place:

@@ -100,7 +100,7 @@ def read_table(file: Path | Place, options: TableOptions | None = None, shelf: S
     if options.topic:
         from navfilter.io.logs import Shelf
 
-        return _chosen_rows((shelf or Shelf()).table(path, options.topic), options.where)
+        return _chosen_rows((shelf or Shelf(allowance=place.allowance)).table(path, options.topic), options.where)
     if not path.exists():
         raise MissionError(f"{place.shown}: no such file. Check the path and the environment variables in it.")
     if not path.is_file():
@@ -152,7 +152,7 @@ def _read_long(place: Place, names: tuple[Where, ...], options: TableOptions) ->
     texts = [str(condition.equals).encode() for condition in names]
     head = options.skip_lines + 2
     kept, rows, passed = [], 0, 0
-    for line in lines(place.path, Counter()):
+    for line in lines(place.path, Counter(), place.allowance):
         # What precedes the rows (header, comments) decides how they are read.
         rows += rows <= head and bool(_before(line.decode("utf-8-sig", "replace"), options.comment))
         if rows <= head or all(text in line for text in texts):

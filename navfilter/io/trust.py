@@ -36,7 +36,17 @@ class Allowance:
             When that is more than is left.
         """
         self.left -= size
-        if self.left < 0:
+        self.has(0)
+
+    def has(self, size: int) -> None:
+        """So many bytes are about to be unpacked, and forgotten before the next: a piece of a log.
+
+        Raises
+        ------
+        MissionError
+            When that is more than is left.
+        """
+        if size > self.left:
             raise MissionError(
                 f"it unpacks to more than {self._whole / (1 << 30):.3g} GiB"
                 " (all compressed files of a mission together). If that is right, raise the limit with --max-unpacked."

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import json
 import math
-import re
 import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,6 +12,8 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
+
+from navfilter.foundation.quoting import toml_key, toml_text
 
 
 class Strict(BaseModel):
@@ -217,7 +217,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return toml_text(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key} = {_shown(part)}" for key, part in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -267,14 +267,9 @@ def _place(model: type[BaseModel], data: Any, loc: tuple[str | int, ...], kind: 
             data = _ABSENT
         else:
             continue
-        key = _key(str(written or part))
+        key = toml_key(str(written or part))
         words.append(f".{key}" if words else key)
     return "".join(words) or "the file", data
-
-
-def _key(name: str) -> str:
-    """A key as it must be written: in quotes where it is no bare one."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def _written(field: str, table: Any, models: list[Any]) -> str | None:

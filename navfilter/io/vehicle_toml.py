@@ -12,7 +12,6 @@ list of tables (their sum) or a table with one error per axis (``{x = .., y = ..
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import re
 import types
@@ -25,6 +24,7 @@ import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
 import navfilter.models.periodic_error  # noqa: F401 - kinds are those whose module has been imported
+from navfilter.foundation.quoting import toml_key, toml_text
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.models.error_models import ErrorModel, Sum
@@ -93,9 +93,7 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     ...     read_vehicle(path).sensors["compass"].error.tau_s
     30.0
     """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "vehicle.toml"
+    path = vehicle_file(path)
     spec: Any = validate(_vehicle_spec(_kinds()), read_toml(path, VehicleError), path, VehicleError)
     wrong: list[tuple[str, str]] = []
     drive = None if spec.drive is None else _built(spec.drive, "drive", wrong, {})
@@ -112,15 +110,20 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
         raise VehicleError(f"{path}: {error}") from None
 
 
+def vehicle_file(path: str | os.PathLike[str]) -> Path:
+    """A vehicle.toml that was named, or that of a folder."""
+    return Path(path) / "vehicle.toml" if Path(path).is_dir() else Path(path)
+
+
 def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
     given = {"name": vehicle.name, "dead_reckoning_lane": vehicle.dead_reckoning_lane}
     lines = [f"{key} = {_toml(value)}" for key, value in given.items() if value is not None]
-    units: list[Any] = [(f"imus.{quoted_key(name)}", unit) for name, unit in vehicle.imus.items()]
+    units: list[Any] = [(f"imus.{toml_key(name)}", unit) for name, unit in vehicle.imus.items()]
     for place, drive in units or [("drive", vehicle.drive)]:
         lines += ["", f"[{place}]", *_lines(drive)]
     for name, sensor in vehicle.sensors.items():
-        lines += ["", f"[sensors.{quoted_key(name)}]", *_lines(sensor)]
+        lines += ["", f"[sensors.{toml_key(name)}]", *_lines(sensor)]
     path = Path(path)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
@@ -434,19 +437,9 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return _quoted(value)
+        return toml_text(value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{quoted_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
+        return "{" + ", ".join(f"{toml_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_toml(part) for part in value) + "]"
     return repr(value) if isinstance(value, int) else repr(float(value))
-
-
-def quoted_key(name: str) -> str:
-    """A key as TOML has it: bare where that is allowed, else quoted."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
-
-
-def _quoted(text: str) -> str:
-    """Text as TOML has it: like JSON, but characters beyond 16 bit as themselves, and the delete character escaped."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

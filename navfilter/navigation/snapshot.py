@@ -181,6 +181,9 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
     payload = _checked(data, vehicle)
     try:
         with zipfile.ZipFile(io.BytesIO(payload)) as whole:
+            # as `write` makes them: what is compressed could unpack to a thousand times as much
+            if any(member.compress_type != zipfile.ZIP_STORED for member in whole.infolist()):
+                raise ValueError("it is compressed")
             # numpy reads as much as the header of an array says; only a member read to its end is held against its
             # checksum.
             if damaged := whole.testzip():

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.calibration.lights import Light
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
@@ -23,6 +24,7 @@ from navfilter.rendering.clock import clock_of
 from navfilter.rendering.page import Section, escape, list_html, page, table_html
 from navfilter.rendering.panels import Stack
 from navfilter.report import figures
+from navfilter.report.constant_table import ABOUT, lights_html
 from navfilter.report.instrument import Instrument
 from navfilter.report.lane_figures import CAPTION, lane_figure, lane_rows
 from navfilter.report.marks import marks
@@ -95,6 +97,7 @@ def render_report(
         _verdict(assessment.verdict),
         Section("Result", (table_html(*headline_rows(tracks, mission)), f"<p>{_reading(mission)}</p>")),
         Section("What the readings say of the track", tuple(reading)),
+        *_constants(assessment.lights),
         *_over_time(tracks, mission, instrument, assessment),
         *_learnt(assessment.learnt),
         *sensor_sections(tracks, assessment.learnt, instrument),
@@ -162,6 +165,11 @@ def _band_caption(truth: Stream | None, columns: slice) -> str:
     if truth is None or not np.isfinite(truth.value[:, columns]).any():
         return "This mission has no truth of it: the bands show what the filter believes of itself."
     return "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band."
+
+
+def _constants(lights: tuple[Light, ...]) -> list[Section]:
+    """How far each constant is told."""
+    return [Section("Calibration", (lights_html(lights), f"<p>{ABOUT}</p>"))] if lights else []
 
 
 def _learnt(found: tuple[LearnedText, ...]) -> list[Section]:

@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import errno
 import fcntl
+import itertools
 import json
 import os
+import stat
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from navfilter.foundation.quoting import toml_key, toml_text
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import Item, LineParser, Note, log_lines
 from navfilter.models.mission import MissionError
@@ -55,7 +60,7 @@ def prepare_log(
         When there is a log and `resume` is None, when another process is writing to it, or when it is that of another
         vehicle and `resume` is "strict".
     OSError
-        When the folder cannot be written.
+        When the folder cannot be written, or where the log is to be there is something else: a link, a pipe, a folder.
     """
     file = _locked(folder)
     try:
@@ -69,10 +74,9 @@ def prepare_log(
             )
         if other:
             tell(f"{other}: the whole log is fed to the vehicle that was given now")
-            _put_aside(folder / "vehicle.toml")
         if other or not begun:
             _describe(folder, vehicle, options)
-        _cut_half_line(folder / LOG_FILE)
+        _cut_half_line(file)
     except BaseException:
         file.close()
         raise
@@ -105,23 +109,41 @@ def remade_log(old: BinaryIO, folder: Path, vehicle: Vehicle, options: Options) 
 def _locked(folder: Path) -> BinaryIO:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / LOG_FILE
-    if path.exists() and not path.is_file():
-        raise ValueError(f"{path} is no file. Move it away, or log to another folder.")
-    file = path.open("a+b", buffering=0)
+    if path.is_symlink():  # it would be written to wherever it leads
+        raise _no_file(path)
+    # not blocking: nobody may ever come to the other end of a pipe
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    file = os.fdopen(handle, "a+b", buffering=0)
     try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise _no_file(path)
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         file.close()
         raise ValueError(
             f"{folder}: another process is writing this log. Stop it first, or log to another folder."
         ) from None
+    except BaseException:
+        file.close()
+        raise
     return file
 
 
+def _no_file(path: Path) -> OSError:
+    words = "is no file of its own (but a link, a pipe, ...). Move it away, or log to another folder"
+    return OSError(errno.EINVAL, words, str(path))
+
+
 def _describe(folder: Path, vehicle: Vehicle, options: Options) -> None:
-    """Write vehicle.toml and mission.toml, and sync them with their folder."""
-    write_vehicle(vehicle, folder / "vehicle.toml")
-    (folder / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
+    """Write vehicle.toml and mission.toml, and sync them with their folder; what stood there is put aside."""
+    with tempfile.TemporaryDirectory(prefix=".navfilter-", dir=folder) as beside:
+        write_vehicle(vehicle, Path(beside) / "vehicle.toml")
+        (Path(beside) / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
+        for new in Path(beside).iterdir():
+            old = folder / new.name
+            if not (_is_file(old) and old.read_bytes() == new.read_bytes()):
+                _put_aside(old)
+                new.replace(old)
     for name in ("vehicle.toml", "mission.toml", "."):
         handle = os.open(folder / name, os.O_RDONLY)
         try:
@@ -132,10 +154,13 @@ def _describe(folder: Path, vehicle: Vehicle, options: Options) -> None:
 
 def _difference(folder: Path, vehicle: Vehicle) -> str:
     """Why a log is not that of a vehicle; empty where it is."""
+    unreadable = "the vehicle.toml of this log cannot be read"
+    if not _is_file(folder / "vehicle.toml"):
+        return unreadable
     try:
         logged = read_vehicle(folder)
     except ValueError:
-        return "the vehicle.toml of this log cannot be read"
+        return unreadable
     if fingerprint(logged) == fingerprint(vehicle):
         return ""
     drives = [(vehicle.drive, vehicle.imus, vehicle.dead_reckoning_lane) for vehicle in (logged, vehicle)]
@@ -145,31 +170,35 @@ def _difference(folder: Path, vehicle: Vehicle) -> str:
     return f"this log is of another vehicle ({', '.join(drive + names) or 'its name'} differs)"
 
 
+def _is_file(path: Path) -> bool:
+    """Whether this is a file and no link to one."""
+    return path.is_file() and not path.is_symlink()
+
+
 def _put_aside(path: Path) -> None:
-    """Keep a file that does not fit under another name."""
+    """Keep whatever stands there under another name."""
+    names = (path.with_name(f"{path.stem}.before{number or ''}{path.suffix}") for number in itertools.count())
     with contextlib.suppress(OSError):
-        path.replace(path.with_name(f"{path.stem}.before{path.suffix}"))
+        path.rename(next(name for name in names if not os.path.lexists(name)))
 
 
-def _cut_half_line(path: Path) -> None:
-    with path.open("rb+") as file:
-        end = file.seek(0, os.SEEK_END)
-        while end:
-            begin = max(0, end - 65536)
-            file.seek(begin)
-            feed = file.read(end - begin).rfind(b"\n")
-            if feed >= 0:
-                end = begin + feed + 1
-                break
-            end = begin
-        file.truncate(end)
+def _cut_half_line(file: BinaryIO) -> None:
+    end = file.seek(0, os.SEEK_END)
+    while end:
+        begin = max(0, end - 65536)
+        feed = os.pread(file.fileno(), end - begin, begin).rfind(b"\n")
+        if feed >= 0:
+            end = begin + feed + 1
+            break
+        end = begin
+    file.truncate(end)
 
 
 def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) -> str:
     lines = [
         "# Written by navfilter run. The readings stand in the order of their arrival;"
         " navfilter run --replay-log feeds them again.",
-        f"name = {json.dumps(folder.resolve().name)}",
+        f"name = {toml_text(folder.resolve().name)}",
         *([] if date is None else [f"date = {date.isoformat()}"]),
         "",
         "[log]",
@@ -178,9 +207,7 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
         "[log.columns]",
     ]
     return (
-        "\n".join(
-            lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]
-        )
+        "\n".join(lines + [f"{toml_key(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()])
         + "\n"
     )
 

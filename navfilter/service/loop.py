@@ -85,6 +85,7 @@ class _Run:
         self._muted = self._output_gone = False
         self.errors = self._readings = 0
         self._heard = time.monotonic()
+        self._stated: float | None = None
         self._client = ""
         supervision.starting("compiling, or loading what has been compiled")
         self._outlet = Outlet(None if isinstance(service.input, tuple) else _STDOUT)
@@ -93,6 +94,7 @@ class _Run:
         warm(service.say, vehicle)
         resumed = self._resume(None if log is None or service.log is None else service.log / LOG_FILE)
         self._disk = Disk(log, service.state, service.fsync_s, self._notice, self._remade)
+        self._outlet.follow(self._disk.behind)
         self._disk.append(run_note(options, **({"resumed": True} if resumed else {})))
         if resumed is not None:
             self._session.feed(Note("run", options.to_json(), b""))
@@ -115,7 +117,8 @@ class _Run:
     # ---------------------------------------------------------------- what goes out
     def _emit(self, line: bytes, is_state: bool) -> None:
         if not self._muted:
-            self._outlet.put(line, is_state)
+            self._stated = time.monotonic() if is_state else self._stated
+            self._outlet.put(line, is_state, self._disk.appended)
 
     def _log_note(self, line: bytes) -> None:
         if not self._muted:
@@ -152,7 +155,8 @@ class _Run:
         except OSError as error:
             if service.resume != "best":
                 raise
-            self._notice("disk-failed", text=f"{service.log}: {error.strerror or error}; navigating without a log")
+            what = f"{error.filename or service.log}: {error.strerror or error}"
+            self._notice("disk-failed", text=f"{what}; navigating without a log")
             return None
 
     def _remade(self, old: BinaryIO) -> BinaryIO:
@@ -305,6 +309,7 @@ class _Run:
             "waiting" if nav is None else "navigating",
             time_s=None if nav is None else nav.time_s,
             input_age_s=now - self._heard,
+            state_age_s=None if self._stated is None else now - self._stated,
             readings=self._readings,
             bad_lines=sum(self._session.bad.values()),
             client=self._client,

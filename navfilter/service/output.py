@@ -42,6 +42,9 @@ class Outlet:
         The line that tells how many were dropped.
     """
 
+    #: A line waits so long for the log to hold what it rests on [s]; then it goes out and says by how many lines it is
+    #: ahead, and so do the following ones, at once, until the log has caught up.
+    HOLD_S = 0.5
     #: Lines that are written in one go.
     AT_ONCE = 64
     #: An output that failed is tried again after so long [s].
@@ -57,7 +60,9 @@ class Outlet:
     ) -> None:
         self._handle, self._longest, self._wait, self._dropped_line = handle, longest, wait, dropped_line
         self._socket: socket.socket | None = None
-        self._queue: deque[tuple[bytes, bool]] = deque()
+        self._behind: Callable[[int, float], int] = lambda log_lines, patience_s: 0
+        self._hold_s = self.HOLD_S
+        self._queue: deque[tuple[bytes, bool, int]] = deque()
         self.dropped = self._told = 0
         self._closing = self._busy = self._torn = False
         self.gone = False
@@ -66,8 +71,12 @@ class Outlet:
         self._thread = threading.Thread(target=self._work, name="navfilter-output", daemon=True)
         self._thread.start()
 
-    def put(self, line: bytes, is_state: bool) -> None:
-        """Add a line; returns at once unless this outlet waits."""
+    def follow(self, behind: Callable[[int, float], int]) -> None:
+        """Let lines wait for a log: ``behind(log_lines, patience_s)`` as `Disk.behind`."""
+        self._behind = behind
+
+    def put(self, line: bytes, is_state: bool, log_lines: int = 0) -> None:
+        """Add a line that rests on the first so many lines of the log; returns at once unless this outlet waits."""
         with self._condition:
             if self.gone:
                 return
@@ -75,12 +84,12 @@ class Outlet:
                 self._condition.wait()
             if len(self._queue) >= self._longest:
                 self._drop()
-            self._queue.append((line, is_state))
+            self._queue.append((line, is_state, log_lines))
             self._condition.notify_all()
 
     def _drop(self) -> None:
         self.dropped += 1
-        for k, (_, is_state) in enumerate(self._queue):
+        for k, (_, is_state, _) in enumerate(self._queue):
             if is_state:
                 del self._queue[k]
                 return
@@ -123,10 +132,10 @@ class Outlet:
                     self._condition.wait()
                 lines = [self._queue.popleft() for _ in range(min(self.AT_ONCE, len(self._queue)))]
                 if self.dropped > self._told:
-                    lines.insert(0, (self._dropped_line(self.dropped), False))
+                    lines.insert(0, (self._dropped_line(self.dropped), False, 0))
                     self._told = self.dropped
                 client, self._busy = self._socket, True
-            written, error = self._send(lines, client)
+            written, error = self._send([self._told_ahead(line, log_lines) for line, _, log_lines in lines], client)
             with self._condition:
                 self._busy = False
                 self._progress = time.monotonic() if written else self._progress
@@ -134,7 +143,7 @@ class Outlet:
                     self._failed(lines[written:], client, error)
                 self._condition.notify_all()
 
-    def _failed(self, lines: list[tuple[bytes, bool]], client: socket.socket | None, error: OSError) -> None:
+    def _failed(self, lines: list[tuple[bytes, bool, int]], client: socket.socket | None, error: OSError) -> None:
         """What to do with lines that did not go out."""
         if client is not None:
             self.dropped += len(lines)
@@ -149,9 +158,15 @@ class Outlet:
                 self._drop()
             self._condition.wait_for(lambda: self._closing, self.RETRY_S)
 
-    def _send(self, lines: list[tuple[bytes, bool]], client: socket.socket | None) -> tuple[int, OSError | None]:
+    def _told_ahead(self, line: bytes, log_lines: int) -> bytes:
+        """A line once the log holds what it rests on; or, where that takes too long, with a word of it."""
+        ahead = self._behind(log_lines, self._hold_s)
+        self._hold_s = 0.0 if ahead else self.HOLD_S
+        return line[:-2] + b',"ahead_of_log":%d}\n' % ahead if ahead else line
+
+    def _send(self, lines: list[bytes], client: socket.socket | None) -> tuple[int, OSError | None]:
         """How many whole lines went out, and what ended it."""
-        data = b"".join(line for line, _ in lines)
+        data = b"".join(lines)
         if client is not None:
             try:
                 client.sendall(data)
@@ -164,7 +179,7 @@ class Outlet:
             self._torn = False
             return len(lines), None
         sent, written = sent - len(begin), 0
-        for line, _ in lines:
+        for line in lines:
             if sent < len(line):
                 break
             sent, written = sent - len(line), written + 1

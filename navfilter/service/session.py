@@ -94,6 +94,11 @@ class Session:
     AHEAD = 3
     #: No vehicle is faster or farther from the surface: such a state is none.
     FASTEST_M_S, HIGHEST_M = 3000.0, 100e3
+    #: So many seconds of the drive's samples, and so many at least, that bring time no further are no state to trust. A
+    #: clock that was set back is found within a quarter of a second, one in doubt within one.
+    STALLED_S, STALLED = 2.0, 20
+    #: So is a state that readings are so far ahead of [s]; an inertial unit that is silent is stood in for by then.
+    BEHIND_S = Intake.SILENT_S + 1.0
     #: A warning about one kind of bad line comes at most so often [s], or when there are ten times as many.
     WARN_EVERY_S = 60.0
     #: Readings that are kept for an alignment: of so many seconds, and never more than so many.
@@ -122,6 +127,8 @@ class Session:
         self._due_s = -math.inf
         self._drive_s = self._offset_s = 0.0
         self._ahead, self._stopped_s = 0, -math.inf
+        self._most_stalled = max(self.STALLED, round(self.STALLED_S * vehicle.drive.rate_hz) * len(vehicle.driving))
+        self._stalled, self._moved_s = 0, -math.inf
         self.bad: dict[str, int] = {}
         self._warned: dict[str, list[float]] = {}
         self._conditions: dict[str, str] = {}
@@ -134,6 +141,8 @@ class Session:
     def feed(self, item: Item) -> None:
         """Take the next line. Drive samples are gathered into blocks, whose ends follow from the stamps alone."""
         if isinstance(item, Reading):
+            if self.nav is not None and self._is_stalled(item):
+                self._stall(item)
             if self.nav is None:
                 self._before_start(item)
             elif self._pairing is not None:
@@ -209,6 +218,35 @@ class Session:
             if self._ahead >= self.AHEAD and not self._lanes:  # lanes say so themselves
                 self._condition(self._drive_name, "silent")
         self._ticks()
+
+    def _is_stalled(self, reading: Reading) -> bool:
+        """Whether readings come and come, and time goes no further."""
+        assert self.nav is not None
+        time_s = self.nav.time_s
+        if time_s > self._moved_s:
+            self._stalled, self._moved_s = 0, time_s
+        elif reading.sensor in self.vehicle.driving:
+            self._stalled += 1
+        behind = self._ahead >= self.AHEAD and reading.time_s > time_s + self.BEHIND_S
+        return behind or self._stalled >= self._most_stalled
+
+    def _stall(self, reading: Reading) -> None:
+        """Say once that there is no new state, and that the last one is not to be trusted any more."""
+        assert self.nav is not None
+        if self._conditions.get("trust") == "stalled":
+            return
+        what = "do not rise" if reading.sensor in self.vehicle.driving else "have ended"
+        was, self._conditions["trust"] = self._conditions.get("trust", "good"), "stalled"
+        self._conditions["stalled"] = f"the stamps of {self._drive_name} {what}: no state since {self.nav.time_s:.3f} s"
+        self._tell("trust", was=was, time_s=self.nav.time_s, **self._untrusted())
+        self._state()
+
+    def _untrusted(self) -> dict[str, Any]:
+        """Fields of a state in place of its own where time goes no further."""
+        assert self.nav is not None
+        if self._conditions.get("trust") != "stalled" or self.nav.time_s > self._moved_s:
+            return {}
+        return {"trust": "lost", "reasons": [self._conditions["stalled"]]}
 
     # ---------------------------------------------------------------- start
     def _before_start(self, reading: Reading) -> None:
@@ -346,7 +384,7 @@ class Session:
         assert self.nav is not None
         state = self.nav.state
         drive = self.nav.counts if self._pairing is None else {**self.nav.counts, **self._pairing.counts}
-        self._emit(to_line({**state_fields(state), "drive": drive, "bad_lines": self.bad}), True)
+        self._emit(to_line({**state_fields(state), **self._untrusted(), "drive": drive, "bad_lines": self.bad}), True)
 
     def _tell(self, event: str, **fields: Any) -> None:
         self._emit(event_line(event, **fields), False)
@@ -374,7 +412,9 @@ class Session:
         was, now = self._conditions.setdefault("trust", "good"), health.trust.level
         if now != was:
             self._conditions["trust"] = now
-            self._tell("trust", was=was, time_s=self.nav.time_s, **integrity_fields(health))
+            self._tell(
+                "trust", was="lost" if was == "stalled" else was, time_s=self.nav.time_s, **integrity_fields(health)
+            )
 
     def _drive_clock(self, offset_s: float) -> None:
         """Tell when the clock of the drive alone was set."""
@@ -411,6 +451,7 @@ class Session:
             "second": self._second,
             "drive_s": self._drive_s,
             "ahead": [self._ahead, self._stopped_s],
+            "stalled": [self._stalled, self._moved_s],
             "bad": self.bad,
             "warned": self._warned,
             "conditions": self._conditions,
@@ -437,7 +478,9 @@ class Session:
         self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.offset_s
         self._next_tick()
         self._tick, self._second, self._drive_s = saved["tick"], saved["second"], saved["drive_s"]
-        self._ahead, self._stopped_s = saved["ahead"][0], -math.inf if saved["ahead"][1] is None else saved["ahead"][1]
+        (self._ahead, self._stopped_s), (self._stalled, self._moved_s) = (
+            (count, -math.inf if time_s is None else time_s) for count, time_s in (saved["ahead"], saved["stalled"])
+        )
         # JSON has no NaN: null stands for a missing component, as in a line
         self._rows = [[math.nan if v is None else v for v in row] for row in saved["rows"]]
         self.bad, self._warned, self._conditions = saved["bad"], saved["warned"], saved["conditions"]

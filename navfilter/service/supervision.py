@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from navfilter.service.disk import new_file
 from navfilter.service.protocol import to_line
 
 __all__ = ["HealthFile", "Notifier", "Supervision"]
@@ -134,6 +135,12 @@ class HealthFile:
         self._thread = threading.Thread(target=self._work, name="navfilter-health", daemon=True)
         self._thread.start()
 
+    @staticmethod
+    def is_one(path: Path) -> bool:
+        """Whether a file begins like one that was written here."""
+        with path.open("rb") as file:
+            return file.read(32).startswith(b'{"phase":')
+
     def put(self, fields: dict[str, Any]) -> None:
         """Write this next; of several that wait only the latest counts."""
         with self._condition:
@@ -166,5 +173,6 @@ class HealthFile:
         # Readers see the old file or the new one, never half of one. Not synced: after a power cut nobody asks how the
         # run was.
         part = self._path.with_name(self._path.name + ".part")
-        part.write_bytes(data)
+        with new_file(part) as file:
+            file.write(data)
         part.replace(self._path)

@@ -13,6 +13,7 @@ from navfilter.io.logs.formats import log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
 from navfilter.io.logs.topic_names import Wanted, without_instance
 from navfilter.io.table import Table, listing
+from navfilter.io.trust import Allowance
 from navfilter.models.mission import MissionError
 
 __all__ = ["Shelf", "files_of"]
@@ -26,10 +27,16 @@ class Shelf:
     wanted : mapping of Path to (mapping of str to (collection of str or None)), optional
         Log, or a pattern of several that follow one another -> topic -> columns (None: all). A topic asked for that
         is not in it is read by itself.
+    allowance : Allowance, optional
+        What the mission's files may unpack to.
     """
 
-    def __init__(self, wanted: Mapping[Path, Mapping[str, Collection[str] | None]] | None = None) -> None:
-        self._wanted = dict(wanted or {})
+    def __init__(
+        self,
+        wanted: Mapping[Path, Mapping[str, Collection[str] | None]] | None = None,
+        allowance: Allowance | None = None,
+    ) -> None:
+        self._wanted, self._allowance = dict(wanted or {}), allowance or Allowance()
         self._tables: dict[tuple[Path, str], Table] = {}
 
     def table(self, path: Path, topic: str) -> Table:
@@ -44,15 +51,15 @@ class Shelf:
         if (path, topic) not in self._tables:
             topics = self._wanted.get(path, {})
             wanted = topics if topic in topics else {topic: None}
-            for name, table in _read(path, wanted).items():
+            for name, table in _read(path, wanted, self._allowance).items():
                 self._tables[path, name] = table
         return self._tables[path, topic]
 
 
-def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str, Table]:
+def _read(path: Path, columns: Mapping[str, Collection[str] | None], allowance: Allowance) -> dict[str, Table]:
     paths = files_of(path)
     module = log_format(paths[0]).load()
-    wanted = Wanted(columns, getattr(module, "short_name", without_instance))
+    wanted = Wanted(columns, getattr(module, "short_name", without_instance), allowance)
     gathered = {name: TopicColumns(fields) for name, fields in columns.items()}
     answers: dict[str, Counter[str]] = {name: Counter() for name in columns}
     tally: Counter[str] = Counter()

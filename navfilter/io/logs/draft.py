@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import os
 import tempfile
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from navfilter.foundation import utc
+from navfilter.foundation.quoting import one_line, toml_text
 from navfilter.io.logs.draft_streams import Drafted, chosen_streams, inertial, still
 from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
 from navfilter.io.logs.known_topics import READINGS, Use
@@ -82,35 +82,35 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
 
 def read_inertial(found: Survey, topic: Topic, use: Use) -> Mission:
     """The inertial unit of a log alone, as stream ``imu`` of a mission."""
-    return _read(_mission_text(found, [inertial(topic, use)], str(found.path.resolve()), ""))
+    return _read(found, _mission_text(found, [inertial(topic, use)], str(found.path.resolve()), ""))
 
 
 def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str], Mission]:
     """The streams that can be read, a comment for each that cannot (no reading is valid, say), and the mission."""
     file, streams = str(found.path.resolve()), [*driving, *others]
     try:
-        return streams, [], _read(_mission_text(found, streams, file, ""))
+        return streams, [], _read(found, _mission_text(found, streams, file, ""))
     except MissionError:
         pass
     kept, dropped = [], []
     for stream in streams:
         try:
-            _read(_mission_text(found, [stream], file, ""))
+            _read(found, _mission_text(found, [stream], file, ""))
             kept.append(stream)
         except MissionError as error:
             if stream.name == "velocity":
                 kept.append(still(kept[0]))
             elif stream in driving:
-                raise MissionError(f"{found.path}: {stream.name}, which is to drive: {_one_line(error)}") from None
-            dropped.append(f"# {stream.name} from {stream.topic.name} is left out: {_one_line(error)}")
-    return kept, dropped, _read(_mission_text(found, kept, file, ""))
+                raise MissionError(f"{found.path}: {stream.name}, which is to drive: {_words(error)}") from None
+            dropped.append(f"# {stream.name} from {one_line(stream.topic.name)} is left out: {_words(error)}")
+    return kept, dropped, _read(found, _mission_text(found, kept, file, ""))
 
 
-def _read(text: str) -> Mission:
+def _read(found: Survey, text: str) -> Mission:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mission.toml"
         path.write_text(text, encoding="utf-8")
-        return read_mission_toml(path)
+        return read_mission_toml(path, unpacked_bytes=found.unpacked_bytes)
 
 
 def _vehicle(text: str) -> Vehicle:
@@ -158,10 +158,11 @@ def _named(path: Path, folder: Path) -> str:
 def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) -> str:
     clock = _clock(streams)
     lines = [
-        f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at;",
-        "# the rest is what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
+        f"# From {one_line(found.path.name)} ({found.format.title}).",
+        "# Lines that begin with GUESSED are to be looked at; the rest is what the log says. 'navfilter check' with",
+        "# this folder looks for the usual mistakes.",
         "",
-        f"name = {json.dumps(found.path.name.split('.')[0])}",
+        f"name = {toml_text(found.path.name.split('.')[0])}",
     ]
     if (epoch_s := _epoch_utc_s(found)) is not None:
         lines.append(f"date = {datetime.datetime.fromtimestamp(epoch_s + found.begin_s, datetime.UTC).date()}")
@@ -172,15 +173,17 @@ def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) 
         lines.append("")
     for stream in streams:
         said = READINGS.get(stream.reading, "no reading at all")
-        lines.append(f"# {stream.topic.name}: {said}; {stream.topic.count} records, {stream.topic.rate_hz:.3g} Hz.")
+        lines.append(
+            f"# {one_line(stream.topic.name)}: {said}; {stream.topic.count} records, {stream.topic.rate_hz:.3g} Hz."
+        )
         lines += [f"{GUESS}{stream.guess}"] if stream.guess else []
-        lines += [f"[streams.{stream.name}]", f"file = {json.dumps(file)}", f"topic = {json.dumps(stream.topic.name)}"]
+        lines += [f"[streams.{stream.name}]", f"file = {toml_text(file)}", f"topic = {toml_text(stream.topic.name)}"]
         lines += [f'time = {{column = "{clock}"}}', *stream.lines]
         lines += [f"where = {stream.where}"] if stream.where else []
         lines.append("")
     others = sorted({topic.name for topic in found.topics} - {stream.topic.name for stream in streams})
     if others:
-        lines.append(f"# Not used: {', '.join(others[:30])}{' and others' if len(others) > 30 else ''}.")
+        lines.append(f"# Not used: {', '.join(map(one_line, others[:30]))}{' and others' if len(others) > 30 else ''}.")
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -191,7 +194,7 @@ def _start(vehicle: Vehicle, mission: Mission) -> str:
         try:
             start = align(*_assuming(vehicle, mission, assumed))
         except ValueError as error:
-            reasons.append(_one_line(error).removeprefix("no start: ").split(". ")[0].split(" (")[0].rstrip("."))
+            reasons.append(_words(error).removeprefix("no start: ").split(". ")[0].split(" (")[0].rstrip("."))
             continue
         return _start_text(start, assumed, reasons) if assumed else ""
     return _start_text(
@@ -244,5 +247,5 @@ def _start_text(start: Start, assumed: tuple[str, ...], reasons: list[str]) -> s
     return "\n".join(lines) + "\n"
 
 
-def _one_line(error: ValueError) -> str:
-    return str(error).replace("\n", " ")
+def _words(error: ValueError) -> str:
+    return one_line(" ".join(str(error).splitlines()))

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.io.logs.progress import byte_bar
+from navfilter.io.trust import Allowance
+from navfilter.models.mission import MissionError
 
 __all__ = ["first_bytes", "lines"]
 
@@ -21,14 +23,22 @@ _BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
 _LONGEST = 1 << 16
 
 
-def lines(path: Path, tally: Counter[str]) -> Iterator[bytes]:
-    """All lines, without their ends; a compressed file that is cut short gives what it holds, and is counted."""
+def lines(path: Path, tally: Counter[str], allowance: Allowance) -> Iterator[bytes]:
+    """All lines, without their ends; a compressed file that is cut short gives what it holds, and is counted.
+
+    Raises
+    ------
+    MissionError
+        When a compressed file has more than it may unpack to.
+    """
     with path.open("rb") as raw, byte_bar(path, path.stat().st_size) as bar:
         opener = _OPENERS.get(path.suffix.lower())
         file = raw if opener is None else opener(raw, "rb")
         done = told = 0
         try:
             while line := file.readline(_LONGEST):
+                if file is not raw:
+                    _take(path, allowance, len(line))
                 yield line.rstrip(b"\r\n")
                 done += 1
                 if done % 4096 == 0:
@@ -37,6 +47,13 @@ def lines(path: Path, tally: Counter[str]) -> Iterator[bytes]:
                     told = at
         except _BROKEN:
             tally["place where the file is damaged or cut short, nothing read behind it"] += 1
+
+
+def _take(path: Path, allowance: Allowance, size: int) -> None:
+    try:
+        allowance.take(size)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from None
 
 
 def first_bytes(path: Path, most: int = 1 << 16) -> bytes:

@@ -19,7 +19,7 @@ __all__ = ["records"]
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
-    for line in lines(path, tally):
+    for line in lines(path, tally, wanted.allowance):
         if line.startswith(b"%") or not line.strip():
             continue
         parts = line.split(None, 3)

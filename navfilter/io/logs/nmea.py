@@ -23,6 +23,7 @@ from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamErr
 from navfilter.io.logs.lines import lines
 from navfilter.io.logs.sentence_times import Carrier
 from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.trust import Allowance
 
 __all__ = ["records", "short_name"]
 
@@ -54,9 +55,9 @@ def short_name(topic: str) -> str:
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
-    date, has_times = _first_date(path)
+    date, has_times = _first_date(path, wanted.allowance)
     carrier = Carrier(date, tally)
-    for line in lines(path, tally):
+    for line in lines(path, tally, wanted.allowance):
         found = SENTENCE.search(line)
         if found is None:
             tally["lines without a sentence"] += bool(line.strip())
@@ -174,10 +175,10 @@ def _date(fields: list[bytes]) -> datetime.date | None:
     return None
 
 
-def _first_date(path: Path) -> tuple[datetime.date | None, bool]:
+def _first_date(path: Path, allowance: Allowance) -> tuple[datetime.date | None, bool]:
     """The date that the first RMC or ZDA gives, for the sentences before it; whether any sentence has a time."""
     has_times = False
-    for line in lines(path, Counter()):
+    for line in lines(path, Counter(), Allowance(allowance.left)):
         found = SENTENCE.search(line)
         if found is None or not _is_sound(found, Counter()):
             continue

@@ -7,18 +7,26 @@ instruments' own stamps are ``header.stamp``.
 
 from __future__ import annotations
 
+import io
+from bz2 import open as bz2_open
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+from lz4.frame import open as lz4_open
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import reader as bag1
+from rosbags.rosbag2 import reader as bag2
+from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from navfilter.io.logs.progress import bar
 from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.trust import Allowance
 from navfilter.models.mission import MissionError
 
 __all__ = ["kinds", "records"]
@@ -34,7 +42,7 @@ _HEAVY = ("Image", "CompressedImage", "PointCloud2", "LaserScan", "OccupancyGrid
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
-    with _opened(path) as reader:
+    with _bounded(path, wanted.allowance), _opened(path) as reader:
         chosen = []
         for connection in reader.connections:
             if not wanted(connection.topic):
@@ -71,6 +79,8 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     try:
         reader = AnyReader([path], default_typestore=_definitions(path))
         reader.open()
+    except MissionError:
+        raise
     except Exception as error:  # rosbags raises its own errors, those of sqlite3, of struct and of lz4
         advice = f" If the recording was cut short, {_REPAIR[path.suffix]}." if path.suffix in _REPAIR else ""
         raise MissionError(f"{path} cannot be read as a ROS bag: {_one_line(error)}.{advice}") from None
@@ -91,6 +101,56 @@ def _definitions(path: Path) -> Typestore:
     return store
 
 
+@contextmanager
+def _bounded(path: Path, allowance: Allowance) -> Iterator[None]:
+    """Within, no piece that rosbags unpacks is larger than what is allowed.
+
+    It unpacks a chunk whole, whatever that comes to, so the functions by which it does are exchanged meanwhile. A chunk
+    is forgotten before the next one: each has to fit in, not all together.
+    """
+
+    def by(opener: Callable[..., Any]) -> Callable[..., bytes]:
+        return lambda data, *size: _Piece(opener(io.BytesIO(data)), path, allowance).read()
+
+    zstd, lz4 = bag2.zstd, by(lz4_open)
+    tables: list[dict[str, Any]] = [bag1.decompressors, mcap.DECOMPRESSORS]
+    before = [dict(table) for table in tables]
+    bounded = {"decompress": by(zstd.open), "open": lambda file, mode: _Piece(zstd.open(file, mode), path, allowance)}
+    try:
+        bag2.zstd = SimpleNamespace(**bounded)  # type: ignore[assignment]
+        bag1.decompressors.update(lz4=lz4, bz2=by(bz2_open))
+        mcap.DECOMPRESSORS.update(lz4=lz4, zstd=by(zstd.open))
+        yield
+    finally:
+        bag2.zstd = zstd
+        for table, old in zip(tables, before, strict=True):
+            table.update(old)
+
+
+class _Piece:
+    """A file that is unpacked as it is read, up to what is allowed."""
+
+    def __init__(self, file: Any, path: Path, allowance: Allowance) -> None:
+        self._file, self._path, self._allowance, self._size = file, path, allowance, 0
+
+    def __enter__(self) -> _Piece:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, size: int = -1) -> bytes:
+        """The next bytes; all that are left by default."""
+        most = self._allowance.left - self._size + 1
+        data: bytes = self._file.read(most if size < 0 else min(size, most))
+        self._size += len(data)
+        try:
+            self._allowance.has(self._size)
+        except MissionError as error:
+            raise MissionError(f"{self._path}: {error}") from None
+        return data
+
+
 def _until_damage(reader: AnyReader, chosen: list[Any], tally: Counter[str]) -> Iterator[tuple[Any, int, bytes]]:
     """The messages up to the first place that cannot be read: what was recorded before it is worth having."""
     missing = sum(connection.msgcount for connection in chosen)
@@ -98,6 +158,8 @@ def _until_damage(reader: AnyReader, chosen: list[Any], tally: Counter[str]) -> 
         for found in reader.messages(connections=chosen):
             missing -= 1
             yield found
+    except MissionError:
+        raise
     except Exception as error:  # as above
         tally[f"place where the bag is damaged, nothing read behind it ({_one_line(error)})"] += 1
     if missing > 0:

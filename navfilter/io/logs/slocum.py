@@ -40,7 +40,7 @@ _LARGEST_ANGLE = 18000.0
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
-    rows = lines(path, tally)
+    rows = lines(path, tally, wanted.allowance)
     names, units = _head(path, rows)
     clock = next((name for name in _CLOCKS if name in names), None)
     if clock is None:

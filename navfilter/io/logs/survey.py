@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.quoting import one_line
 from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
 from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.trust import UNPACKED_BYTES, Allowance
 from navfilter.models.mission import MissionError
 
 __all__ = ["Survey", "Topic", "survey", "survey_text"]
@@ -92,12 +94,15 @@ class Survey:
         In the order of their first records.
     notes : tuple of str
         What was dropped, and why.
+    unpacked_bytes : int
+        What the log may unpack to when it is read again.
     """
 
     path: Path
     format: Format
     topics: tuple[Topic, ...]
     notes: tuple[str, ...]
+    unpacked_bytes: int = UNPACKED_BYTES
 
     @property
     def begin_s(self) -> float:
@@ -115,13 +120,15 @@ class Survey:
         return self.begin_s > _UTC_S
 
 
-def survey(path: Path) -> Survey:
+def survey(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
     """Go through a log and say what is in it.
 
     Parameters
     ----------
     path : Path
         A log, or a pattern with ``*`` of several that follow one another.
+    unpacked_bytes : int
+        What it may unpack to.
 
     Raises
     ------
@@ -131,7 +138,7 @@ def survey(path: Path) -> Survey:
     paths = files_of(path)
     known = log_format(paths[0])
     module = known.load()
-    wanted, tally = Wanted(), Counter[str]()
+    wanted, tally = Wanted(allowance=Allowance(unpacked_bytes)), Counter[str]()
     times: dict[str, array[float]] = {}
     kept: dict[str, TopicColumns] = {}
     for topic, time_s, record in itertools.chain.from_iterable(module.records(one, wanted, tally) for one in paths):
@@ -153,13 +160,16 @@ def survey(path: Path) -> Survey:
             Topic(name, kinds.get(name, ""), time.size, time, kept[name].columns(), wanted.units.get(name, {}))
         )
     notes = tuple(f"{count} {reason}" for reason, count in tally.items() if count)
-    return Survey(path, known, tuple(topics), notes)
+    return Survey(path, known, tuple(topics), notes, unpacked_bytes)
 
 
 def survey_text(found: Survey, most: int = 80) -> str:
     """The topics as a table of text, one line each, and what was dropped."""
     length = found.end_s - found.begin_s
-    lines = [f"{found.path.name}: {found.format.title}, {len(found.topics)} topics, {length:.1f} s{_when(found)}.", ""]
+    lines = [
+        f"{one_line(found.path.name)}: {found.format.title}, {len(found.topics)} topics, {length:.1f} s{_when(found)}.",
+        "",
+    ]
     width = max(5, *(len(_title(topic)) for topic in found.topics[:most]))
     lines.append(f"{'topic':{width}}  {'records':>8} {'Hz':>7} {'from s':>8} {'to s':>8}  gaps           first values")
     for topic in found.topics[:most]:
@@ -176,7 +186,7 @@ def survey_text(found: Survey, most: int = 80) -> str:
 
 
 def _title(topic: Topic) -> str:
-    return f"{topic.name} ({topic.kind})" if topic.kind else topic.name
+    return one_line(f"{topic.name} ({topic.kind})" if topic.kind else topic.name)
 
 
 def _when(found: Survey) -> str:
@@ -194,4 +204,4 @@ def _first_values(topic: Topic, most: int = 4) -> str:
         if first is not None:
             value = first if isinstance(first, str) else f"{first:.10g}" if "stamp" in name else f"{first:.6g}"
             shown.append(f"{name} = {value}{' ' + topic.units[name] if name in topic.units else ''}")
-    return ", ".join(shown[:most]) + (", ..." if len(shown) > most else "")
+    return one_line(", ".join(shown[:most])) + (", ..." if len(shown) > most else "")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Callable, Collection
 
+from navfilter.io.trust import Allowance
+
 __all__ = ["Wanted", "without_instance"]
 
 
@@ -22,10 +24,18 @@ class Wanted:
         The topics asked for: full names, short ones, or patterns with ``*``. None: all.
     short : callable
         Short name of a topic, in the format of the log.
+    allowance : Allowance, optional
+        What the log may unpack to.
     """
 
-    def __init__(self, names: Collection[str] | None = None, short: Callable[[str], str] = without_instance) -> None:
+    def __init__(
+        self,
+        names: Collection[str] | None = None,
+        short: Callable[[str], str] = without_instance,
+        allowance: Allowance | None = None,
+    ) -> None:
         self._names = names
+        self.allowance = allowance or Allowance()
         self._short = short
         self._answers: dict[str, tuple[str, ...]] = {}
         #: Topic -> field -> unit, where the log itself says so; filled by the reader.

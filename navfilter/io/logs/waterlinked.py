@@ -23,7 +23,7 @@ __all__ = ["number", "records", "report_in", "valid_s"]
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     elapsed_s = 0.0
-    for line in lines(path, tally):
+    for line in lines(path, tally, wanted.allowance):
         if b"{" not in line:
             tally["lines without a report"] += bool(line.strip())
             continue

@@ -1,0 +1,200 @@
+"""How far a run has told each constant, as a light: green, orange or red; and whether several missions agree.
+
+A constant is told where little of the doubt that vehicle.toml describes is left: green up to a limit, orange up to
+twice that, red beyond. The limit is stated (`--limit`), or `LEFT` of the sd that is described.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from scipy.special import chdtrc
+
+from navfilter.calibration.parts import Constant, kind_of
+from navfilter.io.units import UNITS
+
+__all__ = ["LEFT", "LIGHTS", "Agreement", "Light", "agreement", "check_limits", "limit_of", "lit"]
+
+#: Share of the described sd that may be left of a constant that is told, where no limit is stated. Twice as much is
+#: what `navfilter calibrate` calls not told.
+LEFT = 0.4
+LIGHTS = ("green", "orange", "red")
+#: Missions that agree scatter as much, or more, in one of so many cases: green, orange.
+AGREE, DOUBTFUL = 0.05, 0.001
+#: SI units of constants -> the dimension of a unit that a limit may have.
+_DIMENSIONS = {
+    "rad": "angle",
+    "s": "time",
+    "m": "length",
+    "1": "number",
+    "T": "magnetic field",
+    "m_s": "speed",
+    "rad_s": "angular rate",
+    "m_s2": "acceleration",
+}
+
+
+class Light(NamedTuple):
+    """A constant, how it was described, what a run found, and how far that is told.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of its state.
+    given, given_sd, value, sd : float
+        As described and as found; of clocks and lever arms the whole of it.
+    limit : float
+        Up to this sd it is green.
+    """
+
+    name: str
+    unit: str
+    given: float
+    given_sd: float
+    value: float
+    sd: float
+    limit: float
+
+    @property
+    def colour(self) -> str:
+        """One of `LIGHTS`."""
+        return LIGHTS[(self.sd > self.limit) + (self.sd > 2.0 * self.limit)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values, for summary.json."""
+        return {**{key: value for key, value in self._asdict().items() if key != "name"}, "light": self.colour}
+
+
+def limit_of(text: str) -> tuple[str, float, str]:
+    """What ``--limit`` says: a name, the sd in SI, and its dimension.
+
+    Parameters
+    ----------
+    text : str
+        ``NAME=NUMBER UNIT``: the name of a constant ("dvl.scale"), its ending ("misalignment_z", "misalignment"), or a
+        kind of `navfilter calibrate` ("mounting").
+
+    Raises
+    ------
+    ValueError
+        When it is no such text.
+
+    Examples
+    --------
+    >>> limit_of("dvl.scale=0.1%"), limit_of("clock = 20 ms")
+    (('dvl.scale', 0.001, 'number'), ('clock', 0.02, 'time'))
+    """
+    found = re.fullmatch(r"\s*([\w.-]+)\s*=\s*([-+.\deE]+)\s*(\S*)\s*", text)
+    if found is not None:
+        name, number, unit = found.groups()
+        factor, dimension = (0.01, "number") if unit == "%" else _unit(unit)
+        if dimension and float(number) > 0.0:
+            return name, float(number) * factor, dimension
+    raise ValueError(
+        f"--limit: '{text}' is not NAME=NUMBER UNIT. Examples: --limit mounting=0.2deg --limit dvl.scale=0.1%."
+    )
+
+
+def _unit(name: str) -> tuple[float, str]:
+    unit = UNITS.get(name)
+    return (1.0, "") if unit is None else (unit.factor, unit.dimension)
+
+
+def lit(one: Constant, value: float, sd: float, limits: Sequence[tuple[str, float, str]] = ()) -> Light:
+    """The light of a constant.
+
+    Parameters
+    ----------
+    one : Constant
+        As described.
+    value, sd : float
+        As found.
+    limits : sequence of (str, float, str)
+        As `limit_of` gives them; of several that fit the last holds.
+
+    Raises
+    ------
+    ValueError
+        For a limit of another dimension.
+    """
+    limit = LEFT * one.sd
+    for name, stated, dimension in limits:
+        if _fits(name, one):
+            if _DIMENSIONS.get(one.unit, "") != dimension:
+                raise ValueError(f"--limit {name}: {one.name} is no {dimension} (its unit is {one.unit}).")
+            limit = stated
+    return Light(one.name, one.unit, one.value, one.sd, value, sd, limit)
+
+
+def _fits(name: str, one: Constant) -> bool:
+    return name in (one.name, one.own, kind_of(one.own)) or one.own.startswith(f"{name}_")
+
+
+def check_limits(limits: Sequence[tuple[str, float, str]], there: Sequence[Constant]) -> None:
+    """Raise ValueError for a limit that fits no constant."""
+    for name, *_ in limits:
+        if not any(_fits(name, one) for one in there):
+            names = ", ".join(one.name for one in there) or "none: give one an sd in vehicle.toml"
+            raise ValueError(f"--limit {name}: no constant is called so (constants: {names}).")
+
+
+class Agreement(NamedTuple):
+    """What several missions together say of a constant.
+
+    Attributes
+    ----------
+    value, sd : float
+        Of all of them and the description.
+    chance : float
+        With which missions of the same constant scatter so much, or more; NaN where fewer than two tell it.
+    """
+
+    value: float
+    sd: float
+    chance: float
+
+    @property
+    def colour(self) -> str:
+        """One of `LIGHTS`; empty where nothing can be compared."""
+        if math.isnan(self.chance):
+            return ""
+        return LIGHTS[(self.chance < AGREE) + (self.chance < DOUBTFUL)]
+
+
+def agreement(found: Sequence[Mapping[str, Any]]) -> Agreement:
+    """Put together what missions found of one constant; what they have in common, the description, counts once.
+
+    Parameters
+    ----------
+    found : sequence of mapping
+        "given", "given_sd", "value" and "sd" of each mission, as `Light.to_dict`.
+
+    Notes
+    -----
+    A mission says beyond its prior ``1 / sd^2 - 1 / given_sd^2`` of information. By that the missions are weighted, and
+    their scatter is a chi-square of one degree of freedom less than there are missions that say anything.
+
+    Examples
+    --------
+    >>> one = {"given": 0.0, "given_sd": 1.0, "value": 0.5, "sd": 0.1}
+    >>> both = agreement([one, one | {"value": 0.52}])
+    >>> f"{both.value:.3f} +- {both.sd:.3f}, {both.colour}"
+    '0.513 +- 0.071, green'
+    """
+    told = [one for one in found if one["sd"] < 0.999 * one["given_sd"]]
+    weights = [one["sd"] ** -2 - one["given_sd"] ** -2 for one in told]
+    values = [
+        (one["value"] * one["sd"] ** -2 - one["given"] * one["given_sd"] ** -2) / weight
+        for one, weight in zip(told, weights, strict=True)
+    ]
+    prior, whole = found[0]["given_sd"] ** -2, sum(weights)
+    mean = sum(w * v for w, v in zip(weights, values, strict=True)) / whole if whole else math.nan
+    chance = math.nan
+    if len(told) > 1:
+        scatter = sum(w * (v - mean) ** 2 for w, v in zip(weights, values, strict=True))
+        chance = float(chdtrc(len(told) - 1, scatter))
+    together = (whole * mean if whole else 0.0) + prior * found[0]["given"]
+    return Agreement(together / (whole + prior), (whole + prior) ** -0.5, chance)

@@ -1,0 +1,100 @@
+"""The constants of a run as a table with lights: by colour, by shape and in words, so that it reads in grey, too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from navfilter.calibration.lights import LEFT, Agreement, Light
+from navfilter.check.units_text import amount
+from navfilter.rendering.page import escape
+
+__all__ = ["ABOUT", "AGREEMENT", "agreement_html", "lights_html", "lights_text"]
+
+#: A light as a sign and in words.
+_SIGNS = {"green": ("&#9679;", "told"), "orange": ("&#9650;", "half told"), "red": ("&#9632;", "hardly told")}
+_AGREE = {"green": "agree", "orange": "doubtful", "red": "differ", "": "-"}
+ABOUT = (
+    f"Green: what is left of the doubt is no more than the limit (stated by --limit, else {LEFT:.0%} of the sd that "
+    "vehicle.toml describes); orange: up to twice that; red: beyond. Grey bar: described, with 1 sd; black: found."
+)
+AGREEMENT = (
+    "Together: of all recordings and the description, which counts once. They agree where missions of one constant "
+    "scatter as much, or more, in one case of twenty; doubtful: of a thousand; differ: seldomer."
+)
+#: The little figure: half its width [px], and how many described sds that is.
+_HALF, _REACH = 50.0, 2.5
+
+
+def lights_html(lights: Sequence[Light]) -> str:
+    """The table of a run."""
+    head = ("constant", "described", "found", "", "limit of the sd", "")
+    rows = (
+        (
+            escape(one.name),
+            *(f"{amount(v, one.unit)} &plusmn; {amount(sd, one.unit)}" for v, sd in _both(one)),
+            _figure(one),
+            amount(one.limit, one.unit),
+            _light(one.colour, _SIGNS[one.colour][1]),
+        )
+        for one in lights
+    )
+    return _table(head, rows)
+
+
+def agreement_html(missions: Sequence[str], found: Mapping[str, tuple[Agreement, str, Sequence[Light | None]]]) -> str:
+    """The table of several missions: what each says of every constant, and all together.
+
+    Parameters
+    ----------
+    missions : sequence of str
+    found : dict of str to (Agreement, str, sequence of Light or None)
+        By the constant's name: together, its unit, and of each mission.
+    """
+    rows = []
+    for name, (both, unit, each) in found.items():
+        cells = [
+            "-" if one is None else _light(one.colour, f"{amount(one.value, unit)} &plusmn; {amount(one.sd, unit)}")
+            for one in each
+        ]
+        together = f"{amount(both.value, unit)} &plusmn; {amount(both.sd, unit)}"
+        rows.append((escape(name), *cells, together, _light(both.colour, _AGREE[both.colour])))
+    return _table(("constant", *map(escape, missions), "together", ""), rows)
+
+
+def lights_text(lights: Sequence[Light]) -> str:
+    """How many constants are told, and which are not, in one line; empty where there are none."""
+    counts = [f"{sum(one.colour == colour for one in lights)} {_SIGNS[colour][1]}" for colour in _SIGNS]
+    red = [f"{one.name} (sd {amount(one.sd, one.unit)})" for one in lights if one.colour == "red"]
+    return f"constants: {', '.join(counts)}{': ' * bool(red)}{', '.join(red)}" if lights else ""
+
+
+def _both(one: Light) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (one.given, one.given_sd), (one.value, one.sd)
+
+
+def _light(colour: str, text: str) -> str:
+    if not colour:
+        return text
+    return f'<span class="light {colour}">{_SIGNS[colour][0]}</span> {text}'
+
+
+def _figure(one: Light) -> str:
+    """Described and found on one line, in sds as described."""
+
+    def at(value: float) -> float:
+        return _HALF * (1.0 + max(-1.0, min(1.0, (value - one.given) / (_REACH * one.given_sd))))
+
+    low, high = at(one.value - one.sd), at(one.value + one.sd)
+    return (
+        f'<svg class="spread" viewBox="0 0 {2 * _HALF:g} 12" width="{2 * _HALF:g}" height="12" aria-hidden="true">'
+        f'<rect x="{at(one.given - one.given_sd):.1f}" y="3" width="{2 * _HALF / _REACH:.1f}" height="6" fill="#ccc"/>'
+        f'<path d="M{low:.1f} 6H{high:.1f}M{low:.1f} 2V10M{high:.1f} 2V10" stroke="#111" fill="none"/>'
+        f'<circle cx="{at(one.value):.1f}" cy="6" r="2" fill="#111"/></svg>'
+    )
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Cells that are HTML already; all but numbers to the left."""
+    top = "".join(f"<th>{cell}</th>" for cell in head)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table class="lights"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
