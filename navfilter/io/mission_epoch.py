@@ -9,7 +9,7 @@ from navfilter.foundation import utc
 from navfilter.io.mission_schema import MissionSpec
 from navfilter.models.mission import Stream
 
-__all__ = ["epoch_of"]
+__all__ = ["day_of", "epoch_of"]
 
 _UNIX = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
@@ -40,3 +40,19 @@ def epoch_of(spec: MissionSpec, streams: Iterable[Stream | None]) -> tuple[float
         doubt = f"the stamps read as seconds since 1970 begin on {day}, date says {spec.date}"
         return None, [f'{doubt}: UTC is unknown; give epoch = 1970-01-01T00:00:00Z, the clock\'s own, or "unknown"']
     return 0.0, []
+
+
+def day_of(epoch_utc_s: float | None, streams: Iterable[Stream | None]) -> datetime.date | None:
+    """Day on which stamps begin, by UTC; None where that is not known.
+
+    Parameters
+    ----------
+    epoch_utc_s : float or None
+        See `epoch_of`.
+    streams : iterable of Stream
+        With their stamps as the files have them.
+    """
+    firsts = [float(stream.time_s[0]) for stream in streams if stream is not None and len(stream)]
+    if epoch_utc_s is None or not firsts or not utc.counts_from_1970(first_s := min(firsts) + epoch_utc_s):
+        return None
+    return datetime.datetime.fromtimestamp(first_s, datetime.UTC).date()

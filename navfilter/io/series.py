@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from navfilter.io import read_mission
 from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.text_tables import delimiter_of, fields_of
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import unit
 from navfilter.models.mission import MissionError
@@ -138,8 +139,7 @@ def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[Tabl
     if column.isdecimal() or not path.is_file():
         return options, column, []
     for number, line in enumerate(_first_lines(path)):
-        fields = re.split("[,;\t]", line) if re.search("[,;\t]", line) else line.split()
-        if column in [name.strip().strip('"') for name in fields]:
+        if column in [name.strip() for name in fields_of(line.strip(), delimiter_of(line))]:
             notes = [f"the header was found on line {number + 1}"] if number else []
             return replace(options, skip_lines=number), column, notes
     return options, column, []

@@ -26,10 +26,12 @@ class Wanted:
 
     def __init__(self, names: Collection[str] | None = None, short: Callable[[str], str] = without_instance) -> None:
         self._names = names
-        self._short = short
+        self.short = short
         self._answers: dict[str, tuple[str, ...]] = {}
         #: Topic -> field -> unit, where the log itself says so; filled by the reader.
         self.units: dict[str, dict[str, str]] = {}
+        #: Whether times count from midnight of a day that the log does not name; set by the reader.
+        self.of_day = False
 
     def __call__(self, topic: str) -> bool:
         return bool(self.asked_as(topic))
@@ -50,7 +52,7 @@ class Wanted:
         return tuple(self._answers)
 
     def _matching(self, topic: str, names: Collection[str]) -> tuple[str, ...]:
-        short = self._short(topic)
+        short = self.short(topic)
         return tuple(
             name for name in names if name in (topic, short) or ("*" in name and fnmatch.fnmatchcase(topic, name))
         )
