@@ -310,12 +310,14 @@ def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
     from navfilter.io.logs import format_of
 
     is_mission = not path.exists() or (path / "mission.toml").exists() or path.suffix in (".toml", ".npz")
-    if is_mission or format_of(path) is None:
+    if is_mission:
         return None
-    from navfilter.io.logs.draft import draft
-    from navfilter.io.logs.survey import survey, survey_text
+    from navfilter.io.logs.draft import draft, is_table, survey_of
+    from navfilter.io.logs.survey import survey_text
 
-    found = survey(path)
+    if format_of(path) is None and not is_table(path):
+        return None
+    found = survey_of(path)
     say(survey_text(found))
     made = draft(found, path.parent)
     say("\nMapped as 'navfilter mission --init' would. Guessed:")

@@ -233,7 +233,7 @@ def _clock_times(
         return Times(clock.start_s + np.arange(rows) / clock.rate_hz + clock.offset_s)
     source = table if clock.file is None else other(clock)
     assert clock.column is not None  # guaranteed by Clock, for the type checker only
-    of_day, notes = source.of_day, list[str]()
+    of_day, notes = source.clock == "of day", list[str]()
     if clock.unit == "iso8601":
         try:
             raw, of_day, note = dates.seconds(source.joined(clock.column), clock.order, date)

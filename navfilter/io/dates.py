@@ -25,12 +25,10 @@ _YEAR_FIRST = re.compile(r"\s*\d{4}[-/.]?\d")
 _DATE = (
     r"(?:(?P<a>\d{1,4})(?P<sep>[-/. ])(?P<b>\d{1,2}|[A-Za-z]{3,9})(?P=sep)(?P<c>\d{1,4})|(?P<digits>\d{5,8})(?:\.0)?)"
 )
-_TIME = (
-    r"(?:(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,]\d*)?))?|(?P<hms>\d{1,6}(?:\.\d*)?))"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?)?"
-)
-_STAMP = rf"\s*(?:{_DATE}(?:[T, ]+{_TIME})?)\s*"
-_OF_DAY = r"\s*(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d*)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?)?\s*"  # fmt: skip
+_TAIL = r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?)?"
+_TIME = r"(?:(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,]\d*)?))?|(?P<hms>\d{1,6}(?:\.\d*)?))"
+_STAMP = rf"\s*(?:{_DATE}(?:[T, ]+{_TIME}{_TAIL})?)\s*"
+_OF_DAY = rf"\s*(?P<h>\d{{1,2}}):(?P<m>\d{{2}}):(?P<s>\d{{2}}(?:[.,]\d*)?){_TAIL}\s*"
 _NO_HOUR = re.compile(r"\s*\d{1,3}:\d{2}(?:[.,]\d+)?\s*")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
@@ -94,8 +92,8 @@ def seconds(cells: npt.NDArray[np.generic], order: str | None, date: datetime.da
     if (short := known.map(lambda text: _NO_HOUR.fullmatch(text) is not None)).mean() > 0.5:
         row, text = int(short.to_numpy().argmax()), known[short].iloc[0]
         raise ValueError(
-            f'row {row + 1} of the times reads "{text}": minutes and seconds without hour and date, as spreadsheets show '
-            "them. Export the column with its date, such as 2026-05-01 12:59:50.5."
+            f'row {row + 1} of the times reads "{text}": minutes and seconds without hour and date, as spreadsheets '
+            "show them. Export the column with its date, such as 2026-05-01 12:59:50.5."
         )
     parts = known.str.extract(f"^{_OF_DAY}$").assign(hms=np.nan)
     of_day = _of_day(parts).reindex(texts.index).to_numpy(float)
@@ -132,8 +130,8 @@ def _days(parts: Any, order: str | None, date: datetime.date | None, texts: Any)
     fitting = {one: days for one, days in fitting.items() if np.isfinite(days).all()}
     if not fitting:
         raise ValueError(
-            f'dates such as "{texts.iloc[0]}" and "{texts.iloc[-1]}" have no one order of day and month. Say it in time: '
-            f"order = one of {', '.join(ORDERS)}; rows that it does not fit count as unreadable."
+            f'dates such as "{texts.iloc[0]}" and "{texts.iloc[-1]}" have no one order of day and month. Say it in '
+            f"time: order = one of {', '.join(ORDERS)}; rows that it does not fit count as unreadable."
         )
     if len(fitting) > 1 and (parts["sep"] == ".").all():
         return fitting["dmy"], ""
@@ -190,7 +188,7 @@ def _zone(parts: Any) -> Any:
 
 
 def _is_twelve(parts: Any, of_day: Array) -> bool:
-    """Whether the clock has twelve hours: none is 0 or beyond 12, and it goes on where it seems to go back by twelve."""
+    """Whether the clock has twelve hours: none is 0 or beyond 12, and it goes on where it seems to go back by 12."""
     import pandas as pd
 
     if parts["half"].notna().any() or parts["h"].isna().any():

@@ -249,6 +249,7 @@ class StreamSpec(Strict):
     resample_hz: float | None = Field(default=None, gt=0)
     windows: tuple[tuple[float, float], ...] = ()
     hide: tuple[tuple[float, float], ...] = ()
+    stands_in: bool = False
     lever_arm_b_m: tuple[Amount, Amount, Amount] | None = None
 
     @model_validator(mode="before")

@@ -13,6 +13,7 @@ from navfilter.io.columns import Counts, Times, clock_times, group_names, group_
 from navfilter.io.contents import SD, driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
+from navfilter.io.logs.topic_names import INSTRUMENT
 from navfilter.io.mission_epoch import day_of, epoch_of
 from navfilter.io.mission_schema import (
     Clock,
@@ -38,6 +39,8 @@ Bool = npt.NDArray[np.bool_]
 #: More than a month at 100 Hz.
 _MOST_ROWS = 3e8
 QUATERNION = "quaternion"
+#: What a note says of a stream, behind its name, that the mission.toml says was not measured.
+STANDS_IN = "stands in for what was not measured"
 DAY_S = 86400.0
 #: A message names so many runs.
 MOST_RUNS = 4
@@ -73,7 +76,7 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
     for name, stream_spec in spec.streams.items():
         streams[name] = reader.stream(name, stream_spec)
     truth = None if spec.truth is None else reader.truth(spec.truth)
-    epoch_utc_s, doubts = epoch_of(spec, (*streams.values(), truth))
+    epoch_utc_s, doubts = epoch_of(spec, (*streams.values(), truth), reader.instruments())
     reader.notes += doubts
     date = spec.date or day_of(epoch_utc_s, (*streams.values(), truth))
     zero = _zero(spec.zero_s, streams, truth)
@@ -124,6 +127,11 @@ class _Reader:
         self._tables: dict[tuple[Place, TableOptions], Table] = {}
         self._times: dict[int, Times] = {}
 
+    def instruments(self) -> list[str]:
+        """Files whose times are of an instrument's own clock; none where others give a time too."""
+        by_instrument = [Path(t.path.split(" ")[0]).name for t in self._tables.values() if t.clock == INSTRUMENT]
+        return by_instrument if len(by_instrument) == len(self._tables) else []
+
     def place(self, file: str) -> Place:
         """A file that the .toml names."""
         return Place.of_mission(file, self.folder, self._confine, self._allowance)
@@ -138,6 +146,8 @@ class _Reader:
     def stream(self, name: str, spec: StreamSpec) -> Stream:
         """One sensor's stream."""
         time_s, parts, columns = self._merged(name, spec)
+        if spec.stands_in:
+            self.notes.append(f"{name} {STANDS_IN}")
         sd = parts.pop(SD, None)
         given = list(parts)
         if "ecef" in given:
@@ -348,12 +358,14 @@ def _layout(source: Source) -> TableOptions:
 
 
 def _rows(table: Table, source: Source) -> int:
-    """Rows of a source: those of the first column it names."""
+    """Rows of a source: those of the first column it names, or of its times where all else is constant."""
     for group in source.groups().values():
         for part in group.columns:
             for reference in each_of(part.column if part.column is not None else part.mean):
                 return int(table.raw(reference).shape[0])
-    raise MissionError(f"{table.path}: all columns are constant; name at least one column of the file.")
+    if source.time.column is None or source.time.file is not None:
+        raise MissionError(f"{table.path}: all columns are constant; name at least one column of the file.")
+    return int(table.joined(source.time.column).shape[0])
 
 
 def _on_circle(names: tuple[str, ...]) -> Bool:

@@ -24,7 +24,7 @@ from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import unit
 from navfilter.models.mission import MissionError
 
-__all__ = ["Series", "on_a_grid", "read_series"]
+__all__ = ["Series", "first_lines", "on_a_grid", "read_series"]
 
 Array = npt.NDArray[np.float64]
 
@@ -138,7 +138,7 @@ def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[Tabl
         return (replace(options, table=part[1]), part[2], []) if part else (options, column, [])
     if column.isdecimal() or not path.is_file():
         return options, column, []
-    for number, line in enumerate(_first_lines(path)):
+    for number, line in enumerate(first_lines(path)):
         if column in [name.strip() for name in fields_of(line.strip(), delimiter_of(line))]:
             notes = [f"the header was found on line {number + 1}"] if number else []
             return replace(options, skip_lines=number), column, notes
@@ -151,7 +151,7 @@ _OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open
 _BEGINNING = 1 << 20
 
 
-def _first_lines(path: Path, most: int = 40) -> list[str]:
+def first_lines(path: Path, most: int = 40) -> list[str]:
     """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
     try:
         with _OPENERS.get(path.suffix.lower(), open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:

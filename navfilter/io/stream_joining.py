@@ -85,7 +85,7 @@ def _continuous(quaternion: Array) -> Array:
 
 def _mean_rotation(stack: Array) -> Array:
     """Mean along the first axis of quaternions (k, n, 4) that lie close together, with the sign of the first known."""
-    there = np.isfinite(stack).all(axis=2)
+    there: Bool = np.asarray(np.isfinite(stack).all(axis=2))
     first = stack[np.argmax(there, axis=0), np.arange(stack.shape[1])]
     alike = np.where(np.sum(stack * first, axis=2) < 0.0, -1.0, 1.0)[:, :, np.newaxis] * stack
     total = np.sum(np.where(there[:, :, np.newaxis], alike, 0.0), axis=0)
@@ -97,8 +97,8 @@ def block_mean(part: Array, length: int, circular: Bool, quaternion: bool = Fals
     blocks = part.shape[0] // length
     whole: Array = part[: blocks * length].reshape(blocks, length, part.shape[1])
     if quaternion:
-        complete = np.isfinite(whole).all(axis=(1, 2))[:, np.newaxis]
-        return np.where(complete, _mean_rotation(np.swapaxes(whole, 0, 1)), np.nan)
+        complete: Bool = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
+        return np.where(complete[:, np.newaxis], _mean_rotation(np.swapaxes(whole, 0, 1)), np.nan)
     blocks_mean: Array = whole.mean(axis=1)
     if circular.any():
         blocks_mean[:, circular] = circular_mean(whole[:, :, circular], axis=1)

@@ -36,8 +36,8 @@ class Table:
         Units of columns where the file itself says so; they hold where the mapping says nothing.
     quoted : bool
         Whether messages may show what is written in the file.
-    of_day : bool
-        Whether `log_time` counts from midnight of a day that the file does not name.
+    clock : str
+        What `log_time` counts by where that is not UTC, see `navfilter.io.logs.topic_names`.
     """
 
     path: str
@@ -45,7 +45,7 @@ class Table:
     notes: tuple[str, ...] = field(default=())
     units: Mapping[str, str] = field(default_factory=dict)
     quoted: bool = True
-    of_day: bool = False
+    clock: str = ""
 
     def raw(self, reference: str | int) -> npt.NDArray[Any]:
         """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""

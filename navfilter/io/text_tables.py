@@ -145,7 +145,11 @@ def _tidy(data: bytes, options: TableOptions) -> bytes:
     comment = options.comment.encode()
     lines_of_comment = comment and (plain.startswith(comment) or b"\n" + comment in plain)
     edges = plain[:1] in (b" ", b"\n") or plain.endswith(b" ")
-    if not (options.skip_lines or edges or lines_of_comment) and plain.isascii() and not any(mark in plain for mark in _UNTIDY):
+    if (
+        not (options.skip_lines or edges or lines_of_comment)
+        and plain.isascii()
+        and not any(mark in plain for mark in _UNTIDY)
+    ):
         return plain
     lines = (line.strip(" \r\n") for line in data.decode(errors="replace").splitlines()[options.skip_lines :])
     kept = (line for line in lines if line and not (comment and line.startswith(options.comment)))

@@ -144,8 +144,8 @@ def unit(name: str) -> Unit:
 def angles(cells: Any, name: str) -> NDArray[np.float64]:
     """Numbers of a column of angles in its unit, those of ``ddmm`` (degrees and minutes in one number) in degrees.
 
-    A letter for the half of the Earth gives the sign (``4530.2012N``, ``S 33 51.5``); of degrees minutes and seconds may
-    follow. What is none of this, or has 60 minutes or more, is NaN.
+    A letter for the half of the Earth gives the sign (``4530.2012N``, ``S 33 51.5``); minutes and seconds may follow
+    degrees. What is none of this, or has 60 minutes or more, is NaN.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str
     tables = {}
     for name, part in gathered.items():
         units = wanted.units.get(next(iter(answers[name])), {})
-        tables[name] = Table(f"{path} {name}", part.columns(), notes, units, of_day=wanted.of_day)
+        tables[name] = Table(f"{path} {name}", part.columns(), notes, units, clock=wanted.clock)
         notes = ()
     return tables
 

@@ -24,7 +24,7 @@ from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamErr
 from navfilter.io.logs.lines import lines
 from navfilter.io.logs.logger_stamps import LoggerClock
 from navfilter.io.logs.sentence_times import Carrier
-from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.logs.topic_names import OF_DAY, Wanted
 
 __all__ = ["records", "short_name"]
 
@@ -84,7 +84,8 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
                 yield from carrier.settled()
         tally["lines without a sentence"] += not told and bool(line.strip())
     yield from carrier.rest()
-    wanted.of_day |= not carrier.dated if carrier.has_begun else logger.of_day
+    if not carrier.dated if carrier.has_begun else logger.of_day:
+        wanted.clock = OF_DAY
 
 
 def _is_sound(found: re.Match[bytes], tally: Counter[str]) -> bool:

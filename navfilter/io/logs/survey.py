@@ -15,7 +15,7 @@ import numpy.typing as npt
 from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
-from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 from navfilter.models.mission import MissionError
 
 __all__ = ["Survey", "Topic", "survey", "survey_text"]
@@ -92,12 +92,25 @@ class Survey:
         In the order of their first records.
     notes : tuple of str
         What was dropped, and why.
+    clock : str
+        What the times count by where that is not UTC, see `navfilter.io.logs.topic_names`.
+    layout, time : tuple of str, str
+        Of a table: keys that say how it is laid out, and the value of ``time``.
+    uses : tuple of (Topic, Use)
+        Of a table: what it can give.
+    doubt : str
+        What is not known of the times.
     """
 
     path: Path
     format: Format
     topics: tuple[Topic, ...]
     notes: tuple[str, ...]
+    clock: str = ""
+    layout: tuple[str, ...] = ()
+    time: str = ""
+    uses: tuple[tuple[Topic, Any], ...] = ()
+    doubt: str = ""
 
     @property
     def begin_s(self) -> float:
@@ -153,7 +166,7 @@ def survey(path: Path) -> Survey:
             Topic(name, kinds.get(name, ""), time.size, time, kept[name].columns(), wanted.units.get(name, {}))
         )
     notes = tuple(f"{count} {reason}" for reason, count in tally.items() if count)
-    return Survey(path, known, tuple(topics), notes)
+    return Survey(path, known, tuple(topics), notes, wanted.clock)
 
 
 def survey_text(found: Survey, most: int = 80) -> str:
@@ -182,7 +195,8 @@ def _title(topic: Topic) -> str:
 def _when(found: Survey) -> str:
     if not found.is_utc:
         return " (times count from the start of the recorder)"
-    return f" from {np.datetime64(int(found.begin_s), 's')} UTC"
+    clock = "by the instrument's clock" if found.clock == INSTRUMENT else "UTC"
+    return f" from {np.datetime64(int(found.begin_s), 's')} {clock}"
 
 
 def _first_values(topic: Topic, most: int = 4) -> str:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Callable, Collection
 
-__all__ = ["Wanted", "without_instance"]
+__all__ = ["INSTRUMENT", "OF_DAY", "Wanted", "without_instance"]
+
+#: Midnight of a day that the log does not name; the clock of an instrument, which need not be UTC.
+OF_DAY, INSTRUMENT = "of day", "instrument"
 
 
 def without_instance(topic: str) -> str:
@@ -30,8 +33,8 @@ class Wanted:
         self._answers: dict[str, tuple[str, ...]] = {}
         #: Topic -> field -> unit, where the log itself says so; filled by the reader.
         self.units: dict[str, dict[str, str]] = {}
-        #: Whether times count from midnight of a day that the log does not name; set by the reader.
-        self.of_day = False
+        #: What the times count by, where that is not UTC: `OF_DAY` or `INSTRUMENT`; set by the reader.
+        self.clock = ""
 
     def __call__(self, topic: str) -> bool:
         return bool(self.asked_as(topic))
