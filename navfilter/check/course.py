@@ -158,7 +158,8 @@ def _delay_finding(name: str, fit: CourseFit) -> Finding:
     text = f"the velocity is about {abs(fit.late_s):.1f} s {word} against the position."
     cure = f"Set time.offset_s = {-fit.late_s:+.1f} on top of what it is now; "
     cure += f"or it is a lever arm of {-fit.speed_m_s * fit.late_s:+.1f} m along x, which looks much the same. "
-    cure += "Or let the filter find it: time_offset_sd_s = 0.3 in vehicle.toml."
+    sd = max(0.3, math.ceil(10.0 * abs(fit.late_s)) / 10.0)
+    cure += f"Or let the filter find it: time_offset_sd_s = {sd:g} in vehicle.toml."
     return Finding("warning", name, text, cure)
 
 

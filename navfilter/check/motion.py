@@ -14,6 +14,7 @@ from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
+from navfilter.check.shared_motion import TURN_S, axes_findings, clock_finding, late_finding, pair_findings
 from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
@@ -59,6 +60,8 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
             found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
+    yield from pair_findings(mission)
+    yield from axes_findings(mission, vehicle)
     if vehicle is not None:
         yield from surfacing_findings(mission, vehicle)
         yield from height_findings(mission, vehicle)
@@ -225,10 +228,11 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
     if not (0.7 < match.slope < 1.4 if match.correlation > 0.9 else 0.2 < match.slope < 5.0):
         cure = "A slope of 57.3 or 0.017 is degrees for radians; another one a wrong scale, or an uncalibrated compass."
         yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as {gyro}.", cure)
-    elif 0.3 < abs(match.late_s) < MOST_DELAY_S and match.correlation > 0.9:
-        text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against {gyro}."
-        cure = f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now; or let the filter find it: "
-        yield Finding("warning", name, text, f"{cure}time_offset_sd_s = 0.3 in vehicle.toml.")
+    elif match.correlation > 0.9:
+        what = f"the heading is {{}} against {gyro}"
+        found = list(clock_finding(name, what, turned, heading, TURN_S))
+        late = not found and 0.3 < abs(match.late_s) < MOST_DELAY_S
+        yield from [late_finding(name, what, match.late_s)] if late else found
 
 
 # --- the rest -------------------------------------------------------------------------------------------------------
