@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.magnetic_north import north_findings
-from navfilter.check.motion import motion_findings
+from navfilter.check.motion import compared_findings, motion_findings
 from navfilter.check.streams import stream_findings
 from navfilter.check.time_units import clock_findings
 from navfilter.models.mission import Mission
@@ -18,7 +18,7 @@ from navfilter.models.mission import Mission
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Finding", "Severity", "check_mission", "report_text"]
+__all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text"]
 
 
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:
@@ -61,6 +61,18 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     found += north_findings(mission, vehicle)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+
+
+def data_findings(mission: Mission, vehicle: Vehicle) -> tuple[Finding, ...]:
+    """What the streams of a mission say of each other that speaks against a replay: for its verdict.
+
+    Parameters
+    ----------
+    mission : Mission
+    vehicle : Vehicle
+    """
+    found = (*clock_findings(mission, vehicle), *compared_findings(mission, vehicle))
+    return tuple(finding for finding in found if finding.severity != "info")
 
 
 def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:

@@ -130,7 +130,7 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         text = f"the velocity must be turned by {angle:+.1f} deg to follow the course over ground."
         cure = f"Either the instrument is mounted so (mounting_deg yaw {angle:+.0f}) or the heading is off by that much"
         cure += " (a magnetic one by the declination: magnetic = true in vehicle.toml)."
-        yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure)
+        yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure, "mounting")
     if abs(scale - 1.0) > max(0.07, sure[0] * scale):
         yield _scale_finding(name, scale)
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
@@ -150,7 +150,8 @@ def _scale_finding(name: str, scale: float) -> Finding:
     known = {0.5144: "kn", 0.3048: "ft/s", 0.01: "cm/s", 0.001: "mm/s", 1 / 3.6: "km/h"}
     guess = [f'Perhaps unit = "{u}".' for value, u in known.items() if abs(scale / value - 1.0) < 0.05]
     grave = not 0.8 < scale < 1.25
-    return Finding("error" if grave else "warning", name, text, guess[0] if guess else "Check unit and scale.")
+    cure = guess[0] if guess else "Check unit and scale."
+    return Finding("error" if grave else "warning", name, text, cure, "scale")
 
 
 def _delay_finding(name: str, fit: CourseFit) -> Finding:
@@ -160,7 +161,7 @@ def _delay_finding(name: str, fit: CourseFit) -> Finding:
     cure += f"or it is a lever arm of {-fit.speed_m_s * fit.late_s:+.1f} m along x, which looks much the same. "
     sd = max(0.3, math.ceil(10.0 * abs(fit.late_s)) / 10.0)
     cure += f"Or let the filter find it: time_offset_sd_s = {sd:g} in vehicle.toml."
-    return Finding("warning", name, text, cure)
+    return Finding("warning", name, text, cure, "clock")
 
 
 def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:

@@ -21,9 +21,12 @@ class Finding:
         What was seen, in plain words.
     cure : str
         What to do; empty where there is nothing to do.
+    about : str
+        "mounting", "clock", "scale" or "lever-arm" where a state of the filter may hold the same; else empty.
     """
 
     severity: Severity
     stream: str
     text: str
     cure: str = ""
+    about: str = ""

@@ -40,21 +40,26 @@ FOLLOWS = 0.95
 
 def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
     """Findings that need more than one column: gravity, handedness, heading, course, field, depth."""
-    late = {} if vehicle is None else _described_late_s(vehicle)
-    streams = {name: s.later(-late.get(name, 0.0)) for name, s in mission.streams.items() if _has_enough(s)}
-    mission = replace(mission, streams=streams)
-    units = {name: s for name, s in mission.streams.items() if "force_x_m_s2" in s.columns}
-    for name, imu in units.items():
-        yield from _gravity(name, imu)
-        yield from _gyro_range(name, imu)
-        yield from _handedness(name, imu)
-    agrees = False
-    for name, stream in mission.streams.items():
+    for name, stream in _compared(mission, vehicle).streams.items():
+        if "force_x_m_s2" in stream.columns:
+            yield from _gyro_range(name, stream)
         yield from _angles(name, stream)
         yield from _field(name, stream, mission)
         yield from _positions(name, stream)
         yield from _pressure(name, stream)
         yield from depth_sign_findings(name, stream)
+    yield from compared_findings(mission, vehicle)
+
+
+def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Findings by comparison: of sensors with each other, and with the Earth's gravity."""
+    mission = _compared(mission, vehicle)
+    units = {name: s for name, s in mission.streams.items() if "force_x_m_s2" in s.columns}
+    for name, imu in units.items():
+        yield from _gravity(name, imu)
+        yield from _handedness(name, imu)
+    agrees = False
+    for name, stream in mission.streams.items():
         for unit, imu in units.items():
             gyro = "the gyro" if len(units) == 1 else f"the gyro of {unit}"
             found = list(_gyro_against_heading(name, stream, imu, gyro))
@@ -71,6 +76,13 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
             yield from vertical_findings(name, mission, vehicle)
             if vehicle is not None:
                 yield from sideways_findings(name, mission, vehicle)
+
+
+def _compared(mission: Mission, vehicle: Vehicle | None) -> Mission:
+    """The streams that hold enough, on the clock that the vehicle's own description gives them."""
+    late = {} if vehicle is None else _described_late_s(vehicle)
+    streams = {name: s.later(-late.get(name, 0.0)) for name, s in mission.streams.items() if _has_enough(s)}
+    return replace(mission, streams=streams)
 
 
 def _described_late_s(vehicle: Vehicle) -> dict[str, float]:

@@ -79,7 +79,7 @@ def late_finding(name: str, what: str, late_s: float) -> Finding:
     text = what.format(f"{abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'}") + "."
     sd = max(0.3, math.ceil(10.0 * abs(late_s)) / 10.0)
     cure = f"Set time.offset_s = {-late_s:.2f} on top of what it is now; or let the filter find it: "
-    return Finding("warning", name, text, f"{cure}time_offset_sd_s = {sd:g} in vehicle.toml.")
+    return Finding("warning", name, text, f"{cure}time_offset_sd_s = {sd:g} in vehicle.toml.", "clock")
 
 
 def _is_round(step_s: float) -> bool:

@@ -53,8 +53,8 @@ first steps:
 'navfilter COMMAND --help' explains one command.
 
 exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
-replay, demo), or nothing better was found
-(calibrate), 2 wrong usage or input, 130 interrupted.
+replay, demo), or nothing better was found (calibrate), 2 wrong usage or input, 3 the track is not judged (replay),
+130 interrupted.
 """
 
 
