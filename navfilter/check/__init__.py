@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text"]
 
 
+#: Words of a reader's note that is worth a look.
+GRAVER = ("go back", "too many fields", "cut short", "no neighbour supports", "no number taken", "without AM or PM")
+
+
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:
     """Everything worth saying about a mission, the gravest first.
 
@@ -51,7 +55,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     for note in mission.notes:
         stream_name = note.split(" ", 1)[0].rstrip(":")
         known = stream_name if stream_name in mission.streams else ""
-        graver: Severity = "warning" if "go back" in note or "too many fields" in note else "info"
+        graver: Severity = "warning" if any(words in note for words in GRAVER) else "info"
         cure = "Late or shuffled readings: see whether the time column is the right one." if "go back" in note else ""
         found.append(Finding(graver, known, f"the reader notes: {note}.", cure))
     if vehicle is not None:

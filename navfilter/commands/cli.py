@@ -94,7 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}.", WRONG)
     except (ValueError, LookupError, MemoryError) as error:
-        return _fail(str(error.args[0]) if error.args else type(error).__name__, WRONG)
+        text = str(error.args[0]) if error.args else type(error).__name__
+        return _fail(text, getattr(error, "exit_code", WRONG))
 
 
 def _fail(text: str, code: int) -> int:

@@ -326,7 +326,9 @@ def _tried(
     gain = _gain(run, track)
     before, after = _rejected(run), _rejected(track)
     let_in = after < REJECTS * before and before - after >= FEWER
-    if far < FOUND or gain < GAIN or (evidence < EVIDENCE and not (let_in and gain > EVIDENCE)):
+    # far from what is usual a score understates: then the trial decides
+    trial_decides = (let_in or cause.kind in CONSTANT_HEADING) and gain > EVIDENCE
+    if far < FOUND or gain < GAIN or (evidence < EVIDENCE and not trial_decides):
         return None
     return LeftOut(cause.part, cause.kind, tuple(found), evidence, gain, *_moved(first, track)), track
 

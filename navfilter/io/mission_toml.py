@@ -47,7 +47,11 @@ MOST_RUNS = 4
 
 
 class RunsError(MissionError):
-    """The clock of a file begins anew: it holds several runs, and nobody said which is meant."""
+    """The clock of a file begins anew: it holds several runs, and nobody said which is meant. That is wrong with the
+    mission, and not with how the command was used.
+    """
+
+    exit_code = 1
 
 
 def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES) -> Mission:

@@ -89,7 +89,8 @@ def _mean_rotation(stack: Array) -> Array:
     first = stack[np.argmax(there, axis=0), np.arange(stack.shape[1])]
     alike = np.where(np.sum(stack * first, axis=2) < 0.0, -1.0, 1.0)[:, :, np.newaxis] * stack
     total = np.sum(np.where(there[:, :, np.newaxis], alike, 0.0), axis=0)
-    return np.where(there.any(axis=0)[:, np.newaxis], total / np.maximum(there.sum(axis=0), 1)[:, np.newaxis], np.nan)
+    count = np.sum(there, axis=0)[:, np.newaxis]
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def block_mean(part: Array, length: int, circular: Bool, quaternion: bool = False) -> Array:
