@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from navfilter.check.course import HABIT
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.magnetic_north import north_findings
 from navfilter.check.motion import compared_findings, motion_findings
@@ -76,7 +77,7 @@ def data_findings(mission: Mission, vehicle: Vehicle) -> tuple[Finding, ...]:
     vehicle : Vehicle
     """
     found = (*clock_findings(mission, vehicle), *compared_findings(mission, vehicle))
-    return tuple(finding for finding in found if finding.severity != "info")
+    return tuple(finding for finding in found if finding.severity != "info" and finding.about != HABIT)
 
 
 def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
+#: What a finding is about that vehicles of this kind may well do.
+HABIT = "habit"
 #: Angles apart by less are the same for these data [deg].
 LITTLE_DEG = 3.0
 #: A velocity that leaves more of the positions' way unexplained does not follow them [1].
@@ -201,4 +203,4 @@ def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:
         cure = (
             f"If it moves along its own length, the instrument is mounted turned: mounting_deg yaw {-angle:+.0f} or so."
         )
-        yield Finding("warning", name, text, cure)
+        yield Finding("warning", name, text, cure, HABIT)

@@ -22,7 +22,8 @@ class Finding:
     cure : str
         What to do; empty where there is nothing to do.
     about : str
-        "mounting", "clock", "scale" or "lever-arm" where a state of the filter may hold the same; else empty.
+        "mounting", "clock" or "scale" where a state of the filter may hold the same; "habit" where a vehicle may well
+        do what looks odd; else empty.
     """
 
     severity: Severity

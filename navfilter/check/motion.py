@@ -14,7 +14,7 @@ from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
-from navfilter.check.shared_motion import TURN_S, axes_findings, clock_finding, late_finding, pair_findings
+from navfilter.check.shared_motion import TURN_S, axes_findings, clock_finding, pair_findings
 from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
@@ -242,9 +242,8 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
         yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as {gyro}.", cure)
     elif match.correlation > 0.9:
         what = f"the heading is {{}} against {gyro}"
-        found = list(clock_finding(name, what, turned, heading, TURN_S))
-        late = not found and 0.3 < abs(match.late_s) < MOST_DELAY_S
-        yield from [late_finding(name, what, match.late_s)] if late else found
+        late_s = match.late_s if abs(match.late_s) < MOST_DELAY_S else 0.0
+        yield from clock_finding(name, what, turned, heading, TURN_S, late_s)
 
 
 # --- the rest -------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from navfilter.models.mission import Array, Mission, Stream
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["axes_findings", "clock_finding", "late_finding", "pair_findings"]
+__all__ = ["axes_findings", "clock_finding", "pair_findings"]
 
 #: Clocks are compared over windows of this length, speeds over longer ones [s].
 TURN_S, WAY_S = 2.0, 4.0
@@ -40,7 +40,9 @@ TURNED = math.radians(25.0)
 _QUARTERS = {1: "-y,x,z", 2: "-x,-y,z", 3: "y,-x,z"}
 
 
-def clock_finding(name: str, what: str, reference: Series, other: Series, window_s: float) -> Iterator[Finding]:
+def clock_finding(
+    name: str, what: str, reference: Series, other: Series, window_s: float, late_s: float | None = None
+) -> Iterator[Finding]:
     """That a stream is late, or its clock runs at another rate, against another one that it follows.
 
     Parameters
@@ -52,9 +54,13 @@ def clock_finding(name: str, what: str, reference: Series, other: Series, window
     reference, other : (ndarray, ndarray)
         Times [s] and values of the same thing.
     window_s : float
+    late_s : float, optional
+        By how much it is late where that is known better [s].
     """
     fit = fitted_clock(reference, other, window_s)
     if fit is None:
+        if late_s is not None and abs(late_s) > LATE_S:
+            yield late_finding(name, what, late_s)
         return
     span = float(other[0][-1] - other[0][0])
     explains = fit.left < CLEAN and fit.left < 0.5 * fit.left_without
@@ -70,6 +76,9 @@ def clock_finding(name: str, what: str, reference: Series, other: Series, window
         else:
             cure += f"{scale:.5f}"
         yield Finding("error", name, f"{text}.", f"{cure} in time of [streams.{name}].")
+    elif late_s is not None:
+        if abs(late_s) > LATE_S:
+            yield late_finding(name, what, late_s)
     elif fit.left < LOOSE and abs(fit.late_s) > max(LATE_S, SURE * fit.late_sd):
         yield late_finding(name, what, fit.late_s)
 
@@ -150,6 +159,7 @@ def _accelerations(imu: Stream, stream: Stream, mounting: Array) -> tuple[Array,
     """Changes of horizontal acceleration by a velocity and a gyro, and by the accelerometers, window by window."""
     v = vector(stream, "v_x_m_s") @ mounting.T
     known = np.isfinite(v[:, :2]).all(axis=1)
+    known[1:] &= np.diff(stream.time_s) > 0.0
     times, v = stream.time_s[known], v[known]
     if times.size < 100:
         return None

@@ -4,8 +4,7 @@ sampled.
 The one topic is ``glider``, its fields are the glider's sensors by their own names and, latitude and longitude apart,
 in their own units: those come as degrees and minutes in one number (ddmm.mmmm) and are read as degrees. ``log_time`` is
 ``m_present_time`` (of science files ``sci_m_present_time``), UTC. Several files, by a pattern with ``*``, follow one
-another. The first row of each that holds values says again what was known before it, an old fix among them: it is left
-out, and so is that fix until there is another.
+another. Each begins with the fix that was known before it: that is left out until there is another.
 """
 
 from __future__ import annotations
@@ -58,12 +57,10 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         if len(cells) != len(names):
             tally["rows cut short or with too many cells left out"] += bool(cells)
             continue
-        if before is None and _holds_values(names, cells):
-            before = cells
-            tally["first rows of segments left out: they repeat what was known before"] += 1
-            continue
-        if fix and before is not None and cells[fix[0]].lower() != b"nan":
-            if [cells[k] for k in fix] == [before[k] for k in fix]:
+        if fix and cells[fix[0]].lower() != b"nan":
+            place = [cells[k] for k in fix]
+            before = before or place
+            if place == before:
                 tally["fixes left out that a segment repeats from the one before"] += 1
                 cells = [b"nan" if k in fix else cell for k, cell in enumerate(cells)]
             else:
@@ -94,12 +91,6 @@ def _head(path: Path, rows: Iterator[bytes]) -> tuple[list[str], list[str]]:
             f"{path}: the lines with the names and the units of a glider's table are missing or disagree."
         )
     return labels[0], labels[1]
-
-
-def _holds_values(names: list[str], cells: list[bytes]) -> bool:
-    """Whether a row has readings of the flight computer beside its time."""
-    flight = (cell for name, cell in zip(names, cells, strict=True) if name.startswith("m_") and name not in _CLOCKS)
-    return any(cell.lower() != b"nan" for cell in flight)
 
 
 def degrees_of(value: float | None) -> float:
