@@ -82,7 +82,7 @@ def strays(time_s: Array) -> Bool:
     few = (counts == 1) & (most > 1) | (counts <= _FEW_OF_ALL * most)
     stray[known[few[far]]] = True
     known = known[~few[far]]
-    if np.all(np.diff(time_s[known]) >= 0.0):
+    if np.all(np.diff(time_s[known]) >= 0.0) or _begins(time_s[known]):
         return stray
     stray[known[_displaced(time_s[known])]] = True
     return stray

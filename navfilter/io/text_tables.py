@@ -65,7 +65,7 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
         delimiter = delimiter or first[4]
         rows = io.BytesIO(rows.read())
         first = _record(rows)
-    delimiter = delimiter or delimiter_of(first, options.decimal)
+    delimiter = delimiter or delimiter_of(first, options.decimal, _peek(rows))
     names, has_header = _names(first, _peek(rows), delimiter, options)
     if not has_header:
         rows.seek(0)
@@ -242,12 +242,15 @@ def _names(first: str, second: str, delimiter: str, options: TableOptions) -> tu
     return [name.strip() for name in fields], True
 
 
-def delimiter_of(line: str, decimal: str | None = None) -> str:
-    """What parts the fields of a line: a tab, a semicolon or a comma outside of quotes, else blanks."""
+def delimiter_of(line: str, decimal: str | None = None, after: str = "") -> str:
+    """What parts the fields of a line: a tab, a semicolon or a comma outside of quotes, else blanks; of several the one
+    that parts the line behind it into as many.
+    """
     bare = _QUOTED.sub("", line)
-    for candidate in ("\t", ";", ","):
-        if candidate in bare and candidate != decimal:
-            return candidate
+    there = [candidate for candidate in ("\t", ";", ",") if candidate in bare and candidate != decimal]
+    alike = [one for one in there if after and len(fields_of(line, one)) == len(fields_of(after, one))]
+    if there:
+        return (alike or there)[0]
     return "whitespace" if len(bare.split()) > 1 else ","
 
 
