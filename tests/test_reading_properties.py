@@ -192,7 +192,7 @@ def test_late_packets_are_no_second_run_and_no_mistake(count, data):
 
 # --- dialects of CSV ------------------------------------------------------------------------------------------------
 
-NAME = st.text(st.sampled_from('abcXYZ (),;"\t#_°'), min_size=1, max_size=8).map(lambda text: f"n{text}n")
+NAME = st.text(st.sampled_from('abcXYZ (),;"\t#_°'), min_size=1, max_size=8).map(lambda text: f"c{text}c")
 CELL = st.one_of(
     st.floats(-1e6, 1e6).map(lambda x: f"{x:.6g}"),
     st.integers(-9999, 9999).map(str),
