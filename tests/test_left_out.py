@@ -112,7 +112,7 @@ def test_the_velocity_of_a_drive_is_said_under_its_own_table():
     real = replace(plain.drive, velocity=replace(plain.drive.velocity, scale_sd=0.03))
     track, mission = mistaken(nf.Vehicle(real, plain.sensors), plain)
     (finding,) = left_out_doubts(track, mission)
-    assert finding.stream == "velocity" and "scale_sd = 0.02 to [drive.velocity] of vehicle.toml" in finding.cure
+    assert finding.stream == "velocity" and "scale_sd = 0.03 to [drive.velocity] of vehicle.toml" in finding.cure
 
 
 def test_a_track_that_stays_where_it_was_makes_a_remark():

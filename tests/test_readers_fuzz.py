@@ -82,6 +82,8 @@ def test_any_text_is_a_mission_or_one_line(tmp_path, text):
     )
 )
 def test_numbers_of_any_kind_in_any_order_of_time(tmp_path, rows):
+    times = rows[:, 0]
+    times[np.abs(times) < LATEST_S] %= 1e6  # of one recording
     (tmp_path / "mission.toml").write_text(TOML)
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,a,b", comments="", fmt="%.17g")
     try:
@@ -194,17 +196,17 @@ def test_an_archive_that_is_called_an_array(tmp_path):
 @pytest.mark.parametrize(
     ("stream", "message"),
     [
-        ("resample_hz = 100.0", "resample_hz would make 1e"),
+        ("resample_hz = 100.0", "resample_hz would make 4e"),
         ("average = 2", None),
     ],
 )
 def test_times_and_values_at_the_edge_of_the_numbers(tmp_path, stream, message):
-    """1e14 s is a time, 1e308 s is none, and a value of 1e308 is no measurement."""
+    """1e14 s is a time, but no neighbour supports it, 1e308 s is none, and a value of 1e308 is no measurement."""
     (tmp_path / "mission.toml").write_text(TOML + stream)
-    (tmp_path / "log.csv").write_text("t,a,b\n0,1e308,1e308\n1,1,1\n1e14,1,1\n1e308,1,1\n-1e308,1,1\n")
+    (tmp_path / "log.csv").write_text("t,a,b\n0,1e308,1e308\n1,1,1\n4e6,1,1\n1e308,1,1\n-1e308,1,1\n1e14,1,1\n")
     if message is None:
         mission = read_mission(tmp_path)
-        assert is_sound(mission) and mission.streams["velocity"].time_s.max() < 1e15
+        assert is_sound(mission) and mission.streams["velocity"].time_s.max() < 1e7
         assert any("rows without a readable time" in note for note in mission.notes)
         return
     with pytest.raises(MissionError, match=message):

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from navfilter.check.course import HABIT
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.magnetic_north import north_findings
-from navfilter.check.motion import motion_findings
+from navfilter.check.motion import compared_findings, motion_findings
 from navfilter.check.streams import stream_findings
 from navfilter.check.time_units import clock_findings
 from navfilter.models.mission import Mission
@@ -18,7 +19,11 @@ from navfilter.models.mission import Mission
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Finding", "Severity", "check_mission", "report_text"]
+__all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text"]
+
+
+#: Words of a reader's note that is worth a look.
+GRAVER = ("go back", "too many fields", "cut short", "no neighbour supports", "no number taken", "without AM or PM")
 
 
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:
@@ -51,7 +56,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     for note in mission.notes:
         stream_name = note.split(" ", 1)[0].rstrip(":")
         known = stream_name if stream_name in mission.streams else ""
-        graver: Severity = "warning" if "go back" in note or "too many fields" in note else "info"
+        graver: Severity = "warning" if any(words in note for words in GRAVER) else "info"
         cure = "Late or shuffled readings: see whether the time column is the right one." if "go back" in note else ""
         found.append(Finding(graver, known, f"the reader notes: {note}.", cure))
     if vehicle is not None:
@@ -61,6 +66,18 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     found += north_findings(mission, vehicle)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+
+
+def data_findings(mission: Mission, vehicle: Vehicle) -> tuple[Finding, ...]:
+    """What the streams of a mission say of each other that speaks against a replay: for its verdict.
+
+    Parameters
+    ----------
+    mission : Mission
+    vehicle : Vehicle
+    """
+    found = (*clock_findings(mission, vehicle), *compared_findings(mission, vehicle))
+    return tuple(finding for finding in found if finding.severity != "info" and finding.about != HABIT)
 
 
 def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:

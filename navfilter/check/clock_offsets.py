@@ -4,16 +4,18 @@ set by hand.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from navfilter.check.course_fit import WINDOW_S, Paths, share
 from navfilter.check.finding import Finding
-from navfilter.check.series import Series, correlation, window_edges
+from navfilter.check.series import Series, correlation, factors, window_edges
 from navfilter.models.mission import Array
 
-__all__ = ["far_finding", "late_by", "late_path_by"]
+__all__ = ["ClockFit", "far_finding", "fitted_clock", "late_by", "late_path_by"]
 
 #: Delays are looked for up to this, or a quarter of the time that both are there [s], in steps of so much [s].
 MOST_S, STEP_S = 120.0, 0.5
@@ -25,6 +27,8 @@ LEFT, OF_THAT = 0.19, 0.3
 CLOSE, CLOSELY_S = 0.1, 1.0
 #: So many windows are compared at least.
 LEAST_WINDOWS = 20
+#: Rates of clocks up to this are looked for [1]: 400 rows over 400 s are off by a four hundredth.
+RATE = 0.01
 #: By how much clocks differ that people mix up [s].
 KNOWN = {18.0: "GPS time is 18 s ahead of UTC", 37.0: "TAI is 37 s ahead of UTC", 19.0: "TAI is 19 s ahead of GPS time"}
 
@@ -78,6 +82,75 @@ def late_path_by(paths: Paths, left: float) -> float | None:
         return share(paths.way(paths.body, late_s)[there], wanted[there])[0]
 
     return _best(unexplained, min(MOST_S, 0.25 * float(paths.edges[-1] - paths.edges[0])))
+
+
+class ClockFit(NamedTuple):
+    """How the stamps of a series lie against those of another one that shows the same.
+
+    Attributes
+    ----------
+    late_s, late_sd : float
+        By how much it is late in the middle, and the sd of that [s].
+    rate, rate_sd : float
+        By what share its seconds are too many: 0.0025 where 400 s were stretched over 401 s.
+    left, left_without : float
+        What is unexplained of the increments, so and with a delay alone [1].
+    """
+
+    late_s: float
+    late_sd: float
+    rate: float
+    rate_sd: float
+    left: float
+    left_without: float
+
+
+def fitted_clock(reference: Series, other: Series, window_s: float, most_s: float = LEAST_S) -> ClockFit | None:
+    """Delay and rate of a series' clock against that of another; None where they have too little in common.
+
+    Parameters
+    ----------
+    reference, other : (ndarray, ndarray)
+        Times [s] and values of what should be the same but for a constant factor.
+    window_s : float
+        Increments are compared over windows of this length.
+    most_s : float
+        Delays up to this are looked for.
+    """
+    begin, end = (pick(reference[0][i], other[0][i]) for pick, i in ((max, 0), (min, -1)))
+    edges = window_edges(begin + most_s, end - most_s - window_s, window_s / 4.0)
+    if edges.size < 10 * LEAST_WINDOWS:
+        return None
+    middle = 0.5 * float(edges[0] + edges[-1])
+
+    def increments(series: Series, late_s: float, rate: float = 0.0) -> Array:
+        ahead, here = (np.interp(at + late_s + rate * (at - middle), *series) for at in (edges + window_s, edges))
+        return np.asarray(ahead - here)
+
+    wanted = increments(reference, 0.0)
+    late_s, rate = 0.0, 0.0
+    sd = np.array([math.inf, math.inf])
+    # a clock that runs at another rate blurs any one delay: first the best of a few rates
+    grid = [(s, r) for s in np.linspace(-most_s, most_s, 41) for r in np.linspace(-RATE, RATE, 9)]
+    late_s, rate = max(grid, key=lambda one: correlation(wanted, increments(other, *one))[0])
+    for _ in range(4):
+        found = increments(other, late_s, rate)
+        if correlation(wanted, found)[0] < 1.0 - LEFT:
+            return None
+        by = 0.5 * float(np.median(np.diff(other[0])))
+        change = (increments(other, late_s + by, rate) - increments(other, late_s - by, rate)) / (2.0 * by)
+        columns = np.column_stack([np.ones(edges.size), found, change, change * (edges - middle)])
+        best, spread = factors(columns, wanted)
+        if abs(best[1]) < 1e-9:
+            return None
+        late_s, rate = late_s + float(best[2] / best[1]), rate + float(best[3] / best[1])
+        sd = np.abs(spread[2:] / best[1])
+        if abs(late_s) > most_s or abs(rate) > 2.0 * RATE:
+            return None
+    left = 1.0 - correlation(wanted, increments(other, late_s, rate))[0] ** 2
+    delays = late_s + np.linspace(-0.5, 0.5, 21) * abs(rate) * (edges[-1] - edges[0])
+    without = 1.0 - max(correlation(wanted, increments(other, float(s)))[0] for s in delays) ** 2
+    return ClockFit(float(late_s), float(sd[0]), float(rate), float(sd[1]), left, without)
 
 
 def _best(unexplained: Callable[[float], float], most_s: float) -> float | None:

@@ -19,6 +19,7 @@ from navfilter.check.course_fit import (
 )
 from navfilter.check.finding import Finding
 from navfilter.check.series import heading_of, unwrapped, vector
+from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import Array, Mission, Stream
 from navfilter.models.state import matrix_from_euler
 
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
+#: What a finding is about that vehicles of this kind may well do.
+HABIT = "habit"
+#: Angles apart by less are the same for these data [deg].
+LITTLE_DEG = 3.0
 #: A velocity that leaves more of the positions' way unexplained does not follow them [1].
 LOOSE = 0.25
 
@@ -55,6 +60,12 @@ def course_findings(
         other, best = min(headings, key=lambda item: "field_x_T" in item[1].columns)
         angle = heading_of(best)
         assert angle is not None  # chosen for having one
+        compass: Any = None if vehicle is None else vehicle.sensors.get(other, vehicle.drive.compass)
+        magnetic, field = bool(getattr(compass, "magnetic", False)), "field_x_T" in best.columns
+        north = _declination(mission)
+        if magnetic and not field:
+            given = getattr(compass, "declination_rad", None)
+            angle = angle + (math.radians(north or 0.0) if given is None else given)
         heading = unwrapped(best.time_s, angle)
         # The instrument's own path differs from the vehicle's while it turns.
         arm = lever * np.exp(1j * np.interp(places.time_s, *heading))
@@ -76,13 +87,23 @@ def course_findings(
             return
         if fit is not None:
             compared = True
-            magnetic = "field_x_T" in best.columns or (
-                vehicle and getattr(vehicle.sensors.get(other), "magnetic", False)
-            )
-            streams = _Streams(name, other, places.name, bool(magnetic), gyro_agrees)
+            streams = _Streams(name, other, places.name, field, gyro_agrees, None if magnetic or field else north)
             yield from _course_findings(streams, fit)
     if not compared:
         yield from _main_direction(name, v, speed)
+
+
+def _declination(mission: Mission) -> float | None:
+    """Where magnetic north is [deg]; None without a date or a place."""
+    places = [s for s in (*mission.streams.values(), mission.truth) if s is not None and "latitude_rad" in s.columns]
+    if mission.date is None or not places:
+        return None
+    latitude, longitude = (
+        float(np.degrees(np.nanmedian(places[0].column(f"{a}_rad")))) for a in ("latitude", "longitude")
+    )
+    if not abs(latitude) <= 90.0:
+        return None
+    return math.degrees(declination(latitude, longitude, 0.0, believable(mission.date)))
 
 
 def mounting_of(name: str, vehicle: Vehicle | None) -> tuple[Array, complex]:
@@ -95,13 +116,14 @@ def mounting_of(name: str, vehicle: Vehicle | None) -> tuple[Array, complex]:
 
 
 class _Streams(NamedTuple):
-    """Whose findings they are; a magnetic heading, not levelled or without its declination, is rough."""
+    """Whose findings they are; the heading of a magnetometer that is not levelled is rough."""
 
     velocity: str
     heading: str
     position: str
     rough: bool
     gyro_agrees: bool
+    declination_deg: float | None
 
 
 def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
@@ -130,7 +152,11 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         text = f"the velocity must be turned by {angle:+.1f} deg to follow the course over ground."
         cure = f"Either the instrument is mounted so (mounting_deg yaw {angle:+.0f}) or the heading is off by that much"
         cure += " (a magnetic one by the declination: magnetic = true in vehicle.toml)."
-        yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure)
+        north = streams.declination_deg
+        if north is not None and abs(north) > LITTLE_DEG and abs(angle - north) < max(LITTLE_DEG, sure[1]):
+            text = f"{text[:-1]}: the declination is {north:+.1f} deg there."
+            cure = f"Is {heading} a magnetic compass? Then magnetic = true in vehicle.toml. {cure}"
+        yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure, "mounting")
     if abs(scale - 1.0) > max(0.07, sure[0] * scale):
         yield _scale_finding(name, scale)
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
@@ -150,7 +176,8 @@ def _scale_finding(name: str, scale: float) -> Finding:
     known = {0.5144: "kn", 0.3048: "ft/s", 0.01: "cm/s", 0.001: "mm/s", 1 / 3.6: "km/h"}
     guess = [f'Perhaps unit = "{u}".' for value, u in known.items() if abs(scale / value - 1.0) < 0.05]
     grave = not 0.8 < scale < 1.25
-    return Finding("error" if grave else "warning", name, text, guess[0] if guess else "Check unit and scale.")
+    cure = guess[0] if guess else "Check unit and scale."
+    return Finding("error" if grave else "warning", name, text, cure, "scale")
 
 
 def _delay_finding(name: str, fit: CourseFit) -> Finding:
@@ -158,8 +185,9 @@ def _delay_finding(name: str, fit: CourseFit) -> Finding:
     text = f"the velocity is about {abs(fit.late_s):.1f} s {word} against the position."
     cure = f"Set time.offset_s = {-fit.late_s:+.1f} on top of what it is now; "
     cure += f"or it is a lever arm of {-fit.speed_m_s * fit.late_s:+.1f} m along x, which looks much the same. "
-    cure += "Or let the filter find it: time_offset_sd_s = 0.3 in vehicle.toml."
-    return Finding("warning", name, text, cure)
+    sd = max(0.3, math.ceil(10.0 * abs(fit.late_s)) / 10.0)
+    cure += f"Or let the filter find it: time_offset_sd_s = {sd:g} in vehicle.toml."
+    return Finding("warning", name, text, cure, "clock")
 
 
 def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:
@@ -175,4 +203,4 @@ def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:
         cure = (
             f"If it moves along its own length, the instrument is mounted turned: mounting_deg yaw {-angle:+.0f} or so."
         )
-        yield Finding("warning", name, text, cure)
+        yield Finding("warning", name, text, cure, HABIT)

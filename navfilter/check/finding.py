@@ -21,9 +21,13 @@ class Finding:
         What was seen, in plain words.
     cure : str
         What to do; empty where there is nothing to do.
+    about : str
+        "mounting", "clock" or "scale" where a state of the filter may hold the same; "habit" where a vehicle may well
+        do what looks odd; else empty.
     """
 
     severity: Severity
     stream: str
     text: str
     cure: str = ""
+    about: str = ""

@@ -35,6 +35,13 @@ def north_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
         Says which headings are magnetic; without one those of a field are.
     """
     compasses, place = _compasses(mission, vehicle), _place(mission)
+    dated = mission.date is not None or getattr(mission.start, "date", None) is not None
+    for name, sensor in compasses.items():
+        if sensor is not None and sensor.declination_rad is None and not (dated and place is not None):
+            lacks = " and ".join(["a date"] * (not dated) + ["a place"] * (place is None))
+            text = f"its heading counts from magnetic north, and the declination there needs {lacks}."
+            cure = "Set date in the mission.toml" if not dated else "Give a [start]"
+            yield Finding("error", name, text, f"{cure}, or declination_deg in the vehicle.toml.")
     if not compasses or place is None:
         return
     latitude, longitude = place

@@ -14,6 +14,7 @@ from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
+from navfilter.check.shared_motion import TURN_S, axes_findings, clock_finding, pair_findings
 from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
@@ -39,26 +40,33 @@ FOLLOWS = 0.95
 
 def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
     """Findings that need more than one column: gravity, handedness, heading, course, field, depth."""
-    late = {} if vehicle is None else _described_late_s(vehicle)
-    streams = {name: s.later(-late.get(name, 0.0)) for name, s in mission.streams.items() if _has_enough(s)}
-    mission = replace(mission, streams=streams)
-    units = {name: s for name, s in mission.streams.items() if "force_x_m_s2" in s.columns}
-    for name, imu in units.items():
-        yield from _gravity(name, imu)
-        yield from _gyro_range(name, imu)
-        yield from _handedness(name, imu)
-    agrees = False
-    for name, stream in mission.streams.items():
+    for name, stream in _compared(mission, vehicle).streams.items():
+        if "force_x_m_s2" in stream.columns:
+            yield from _gyro_range(name, stream)
         yield from _angles(name, stream)
         yield from _field(name, stream, mission)
         yield from _positions(name, stream)
         yield from _pressure(name, stream)
         yield from depth_sign_findings(name, stream)
+    yield from compared_findings(mission, vehicle)
+
+
+def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Findings by comparison: of sensors with each other, and with the Earth's gravity."""
+    mission = _compared(mission, vehicle)
+    units = {name: s for name, s in mission.streams.items() if "force_x_m_s2" in s.columns}
+    for name, imu in units.items():
+        yield from _gravity(name, imu)
+        yield from _handedness(name, imu)
+    agrees = False
+    for name, stream in mission.streams.items():
         for unit, imu in units.items():
             gyro = "the gyro" if len(units) == 1 else f"the gyro of {unit}"
             found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
+    yield from pair_findings(mission)
+    yield from axes_findings(mission, vehicle)
     if vehicle is not None:
         yield from surfacing_findings(mission, vehicle)
         yield from height_findings(mission, vehicle)
@@ -68,6 +76,13 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
             yield from vertical_findings(name, mission, vehicle)
             if vehicle is not None:
                 yield from sideways_findings(name, mission, vehicle)
+
+
+def _compared(mission: Mission, vehicle: Vehicle | None) -> Mission:
+    """The streams that hold enough, on the clock that the vehicle's own description gives them."""
+    late = {} if vehicle is None else _described_late_s(vehicle)
+    streams = {name: s.later(-late.get(name, 0.0)) for name, s in mission.streams.items() if _has_enough(s)}
+    return replace(mission, streams=streams)
 
 
 def _described_late_s(vehicle: Vehicle) -> dict[str, float]:
@@ -225,10 +240,10 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
     if not (0.7 < match.slope < 1.4 if match.correlation > 0.9 else 0.2 < match.slope < 5.0):
         cure = "A slope of 57.3 or 0.017 is degrees for radians; another one a wrong scale, or an uncalibrated compass."
         yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as {gyro}.", cure)
-    elif 0.3 < abs(match.late_s) < MOST_DELAY_S and match.correlation > 0.9:
-        text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against {gyro}."
-        cure = f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now; or let the filter find it: "
-        yield Finding("warning", name, text, f"{cure}time_offset_sd_s = 0.3 in vehicle.toml.")
+    elif match.correlation > 0.9:
+        what = f"the heading is {{}} against {gyro}"
+        late_s = match.late_s if abs(match.late_s) < MOST_DELAY_S else 0.0
+        yield from clock_finding(name, what, turned, heading, TURN_S, late_s)
 
 
 # --- the rest -------------------------------------------------------------------------------------------------------

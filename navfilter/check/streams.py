@@ -51,6 +51,10 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
         # fixes are not to be had under water
         grave: Severity = "warning" if step[worst] > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
         yield Finding(grave, name, text, "The filter carries on without; check that nothing was lost on the way.")
+    ratio = moving[(moving > 1.5 * usual) & (moving <= 5.0 * usual)] / usual
+    if usual > 0.0 and ratio.size and float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9:
+        lost = int(np.sum(np.round(ratio) - 1.0))
+        yield Finding("info", name, f"about {lost} readings are missing here and there, of {len(stream) + lost}.")
     # Bursts: many steps far shorter and far longer than the mean step, as stamps of reception have.
     mean = span / (len(stream) - 1)
     bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))

@@ -54,8 +54,8 @@ first steps:
 'navfilter COMMAND --help' explains one command.
 
 exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
-replay, demo), or nothing better was found
-(calibrate), 2 wrong usage or input, 130 interrupted.
+replay, demo), or nothing better was found (calibrate), 2 wrong usage or input, 3 the track is not judged (replay),
+130 interrupted.
 """
 
 
@@ -95,7 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}.", WRONG)
     except (ValueError, LookupError, MemoryError) as error:
-        return _fail(str(error.args[0]) if error.args else type(error).__name__, WRONG)
+        text = str(error.args[0]) if error.args else type(error).__name__
+        return _fail(text, getattr(error, "exit_code", WRONG))
 
 
 def _fail(text: str, code: int) -> int:
@@ -311,12 +312,14 @@ def _of_a_log(path: Path, say: Callable[[str], None], limit: int) -> Any:
     from navfilter.io.logs import format_of
 
     is_mission = not path.exists() or (path / "mission.toml").exists() or path.suffix in (".toml", ".npz")
-    if is_mission or format_of(path) is None:
+    if is_mission:
         return None
-    from navfilter.io.logs.draft import draft
-    from navfilter.io.logs.survey import survey, survey_text
+    from navfilter.io.logs.draft import draft, is_table, survey_of
+    from navfilter.io.logs.survey import survey_text
 
-    found = survey(path, limit)
+    if format_of(path) is None and not is_table(path):
+        return None
+    found = survey_of(path, limit)
     say(survey_text(found))
     made = draft(found, path.parent)
     say("\nMapped as 'navfilter mission --init' would. Guessed:")

@@ -11,7 +11,7 @@ __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
 OK = 0
 
-ABOUT = "write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...)"
+ABOUT = "write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...) or a table (CSV)"
 EPILOG = """\
 Lists the topics of the log with their rates, gaps and first values, and maps those of a known kind: what drives, what
 corrects. Both files replay as they are; lines that begin with GUESSED say what was not known for certain. Without
@@ -47,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run ``navfilter mission``."""
-    from navfilter.io.logs.survey import survey, survey_text
+    from navfilter.io.logs.draft import draft, survey_of
+    from navfilter.io.logs.survey import survey_text
 
     say = speaker(options.quiet)
     folder = Path(options.out)
@@ -57,12 +58,10 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(
             f"{' and '.join(there)}: there already; choose another folder with --out, or --force to replace."
         )
-    found = survey(Path(options.log), unpacked_bytes(options))
+    found = survey_of(Path(options.log), unpacked_bytes(options))
     say(survey_text(found))
     if not options.init:
         return OK
-    from navfilter.io.logs.draft import draft
-
     made = draft(found, folder, options.vehicle_like)
     folder.mkdir(parents=True, exist_ok=True)
     for path, text in zip(targets, (made.mission_toml, made.vehicle_toml), strict=True):

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "replay_one", "save"]
 
-#: Exit code of a run whose track is not to be trusted.
-NOT_TRUSTED = 1
+#: Exit codes of a run whose track is not to be trusted, and of one that nothing in the mission can judge.
+NOT_TRUSTED, NOT_JUDGED = 1, 3
 #: What the command is about, in one line, and what stands below its help.
 DEMO = (
     "simulate a mission of one hour, replay it with a compass error that is learnt on the way, and compare",
@@ -82,7 +82,8 @@ what UTC the stamps read zero. track.csv then has a column time_utc, and the oth
 have times of the mission clock (KML and GPX none), and --sbet is refused.
 
 exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are
-written all the same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in
+written all the same); 2 wrong usage or input; 3 the track is not judged: what drives was not measured, or nothing on
+board corrects it; 130 interrupted. The verdict stands at the end of the output, in
 summary.json and on top of the report. Of several MISSIONs: the worst of their codes.
 
 examples:
@@ -298,11 +299,12 @@ def _write(
         _print_result(tracks, mission, assessment)
         show(f"Written to {folder}{os.sep}:")
         show(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
-    if assessment.verdict.trusted:
+    verdict = assessment.verdict
+    if verdict.trusted:
         return 0
     where = report if drawn else folder / "summary.json"
-    complain(f"navfilter: {assessment.verdict.headline} See {where}.")
-    return NOT_TRUSTED
+    complain(f"navfilter: {verdict.headline} See {where}.")
+    return NOT_TRUSTED if verdict.wrong else NOT_JUDGED
 
 
 def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assessment: Assessment, bars: bool) -> None:

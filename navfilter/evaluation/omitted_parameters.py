@@ -73,16 +73,29 @@ WORDS = {
     "iron": "there is iron about it",
     "offset": "it has an offset",
 }
-KEYS = {
-    "clock": "time_offset_sd_s = 0.3",
-    "lever-arm": "lever_arm_sd_m = [0.5, 0.5, 0.5]",
-    "scale": "scale_sd = 0.02",
-    "mounting": "misalignment_sd_deg = 3.0",
-    "bias": "bias_sd_deg = 5.0, and perhaps deviation_sd_deg = [5.0, 2.0],",
-    "deviation": "bias_sd_deg = 5.0 and deviation_sd_deg = [5.0, 2.0]",
-    "iron": "hard_iron_sd and soft_iron_sd",
-    "offset": "offset_sd_m = 0.5",
+#: What to write for a kind; numbers in braces are standard deviations: at least the first, and wide enough for what
+#: was found, in the unit of the key (the second, in SI).
+KEYS: dict[str, tuple[str, float, float]] = {
+    "clock": ("time_offset_sd_s = {0:g}", 0.3, 1.0),
+    "lever-arm": ("lever_arm_sd_m = [{0:g}, {0:g}, {0:g}]", 0.5, 1.0),
+    "scale": ("scale_sd = {0:g}", 0.02, 1.0),
+    "mounting": ("misalignment_sd_deg = {0:g}", 3.0, math.radians(1.0)),
+    "bias": ("bias_sd_deg = {0:g}, and perhaps deviation_sd_deg = [5.0, 2.0],", 5.0, math.radians(1.0)),
+    "deviation": ("bias_sd_deg = {0:g} and deviation_sd_deg = [{0:g}, 2.0]", 5.0, math.radians(1.0)),
+    "iron": ("hard_iron_sd and soft_iron_sd", 1.0, 1.0),
+    "offset": ("offset_sd_m = {0:g}", 0.5, 1.0),
 }
+#: A constant error of the heading looks like lever arms and clocks of fixes, and not the other way round: where it
+#: explains this share of what the best does, it is the cause.
+CONSTANT_HEADING = ("mounting", "bias")
+
+
+def key_of(kind: str, found: Sequence[float] = ()) -> str:
+    """What to write into a vehicle.toml, with a standard deviation that does not refuse what was found [SI]."""
+    text, usual, unit = KEYS[kind]
+    largest = max(map(abs, found), default=0.0) / unit
+    digit = 10.0 ** math.floor(math.log10(usual))
+    return text.format(usual if largest <= usual else math.ceil(largest / digit) * digit)
 
 
 class _Cause(NamedTuple):
@@ -153,10 +166,12 @@ def left_out_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
     for one in left_out(run, mission):
         values = ", ".join(f"{own} {amount(value, unit)} (sd {amount(sd, unit)})" for own, unit, value, sd in one.found)
         text = f"{WORDS[one.kind]}, as all readings together tell: {values}. {_goes(one)}"
-        cure = f"Add {KEYS[one.kind]} to [{'.'.join(one.part)}] of vehicle.toml"
+        cure = (
+            f"Add {key_of(one.kind, [value for _, _, value, _ in one.found])} to [{'.'.join(one.part)}] of vehicle.toml"
+        )
         for part, kind in one.alike:
             text += f" As well it may be that {WORDS[kind]} ({part[-1]})."
-            cure += f", or {KEYS[kind]} to [{'.'.join(part)}]"
+            cure += f", or {key_of(kind)} to [{'.'.join(part)}]"
         grade: Severity = "warning" if max(one.moved.square, one.turned.square) > ELSEWHERE else "info"
         yield Finding(grade, one.part[-1], text, f"{cure}; 'navfilter calibrate' then finds it.")
 
@@ -202,7 +217,10 @@ def left_out(run: Track, mission: Mission) -> tuple[LeftOut, ...]:
         if not good:
             break
         most = GAINS * max(one.gain for one, _ in good)
-        good = sorted((one for one in good if one[0].gain >= most), key=lambda one: -one[0].evidence)
+        good = sorted(
+            (one for one in good if one[0].gain >= most),
+            key=lambda one: (one[0].kind not in CONSTANT_HEADING, -one[0].evidence),
+        )
         (best, track), others = good[0], good[1:]
         alike = tuple((one.part, one.kind) for one, _ in others if best.evidence - one.evidence < ALIKE)
         found.append(best._replace(alike=alike))
@@ -251,7 +269,10 @@ def _standing_out(run: Track, mission: Mission, everything: Vehicle) -> list[tup
     scored = sorted(((_evidence(J, i, sd, [*described_ones, *c.at]) - without, c) for c in causes), reverse=True)
     ruins = any(run.counts.get(event, 0) for event in ("reset", "jumped", "opened", "contradicted"))
     least = max(WORTH_IN_RUINS if ruins else WORTH_A_TRIAL, AS_WELL * scored[0][0])
-    return [(gain, cause) for gain, cause in scored[:TRIED] if gain > least]
+    tried = scored[:TRIED]
+    # the constant error of a heading is tried in any case, see `CONSTANT_HEADING`
+    tried += [one for one in scored[TRIED:] if one[1].kind in CONSTANT_HEADING][:1]
+    return [(gain, cause) for gain, cause in tried if gain > least]
 
 
 def _scores(
@@ -305,7 +326,9 @@ def _tried(
     gain = _gain(run, track)
     before, after = _rejected(run), _rejected(track)
     let_in = after < REJECTS * before and before - after >= FEWER
-    if far < FOUND or gain < GAIN or (evidence < EVIDENCE and not (let_in and gain > EVIDENCE)):
+    # far from what is usual a score understates: then the trial decides
+    trial_decides = (let_in or cause.kind in CONSTANT_HEADING) and gain > EVIDENCE
+    if far < FOUND or gain < GAIN or (evidence < EVIDENCE and not trial_decides):
         return None
     return LeftOut(cause.part, cause.kind, tuple(found), evidence, gain, *_moved(first, track)), track
 

@@ -1,13 +1,20 @@
-"""The verdict on a run: whether its track is to be trusted, what speaks against it, and how to look further."""
+"""The verdict on a run: whether its track is to be trusted, what speaks against it, and how to look further. A track
+that nothing in the mission could contradict is not judged.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from navfilter.check import data_findings
 from navfilter.check.finding import Finding
 from navfilter.evaluation.diagnostics import LIMITS, Limits, doubts
 from navfilter.evaluation.fix_reacquisition import Evidence
+from navfilter.io.mission_toml import STANDS_IN
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
@@ -27,22 +34,37 @@ class Verdict:
         The gravest first: "error": the track is not to be trusted; "warning": to be used with care; "info": a remark.
     praise : str
         What speaks for it.
+    lacking : tuple of str
+        Evidence that is missing for any judgement; empty: none.
     """
 
     findings: tuple[Finding, ...]
     praise: str
+    lacking: tuple[str, ...] = ()
+
+    @property
+    def wrong(self) -> bool:
+        """Whether something speaks against the track."""
+        return any(finding.severity == "error" for finding in self.findings)
+
+    @property
+    def judged(self) -> bool:
+        """Whether the mission holds what a track can be judged by."""
+        return not self.lacking
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing is wrong: the exit code of the command is 0."""
-        return not any(finding.severity == "error" for finding in self.findings)
+        """Whether the track is judged, and nothing is wrong: the exit code of the command is 0."""
+        return self.judged and not self.wrong
 
     @property
     def headline(self) -> str:
         """The verdict in one sentence."""
         doubts = [finding for finding in self.findings if finding.severity == "warning"]
-        if not self.trusted:
+        if self.wrong:
             return "This track is not to be trusted."
+        if not self.judged:
+            return f"This track is not judged: {'; '.join(self.lacking)}."
         return "This track is to be used with care." if doubts else f"Nothing speaks against this track: {self.praise}."
 
     def lines(self) -> list[str]:
@@ -66,7 +88,8 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values."""
         findings = [{"severity": f.severity, "sensor": f.stream, "text": f.text, "cure": f.cure} for f in self.findings]
-        return {"trusted": self.trusted, "headline": self.headline, "findings": findings}
+        judged = {"trusted": self.trusted, "judged": self.judged}
+        return {**judged, "headline": self.headline, "findings": findings}
 
 
 def judge(track: Track, mission: Mission, evidence: Evidence, limits: Limits = LIMITS) -> Verdict:
@@ -84,8 +107,46 @@ def judge(track: Track, mission: Mission, evidence: Evidence, limits: Limits = L
     """
     run = track.forward or track
     rank = {"error": 0, "warning": 1, "info": 2}
-    found = sorted(doubts(run, mission, evidence, limits), key=lambda finding: rank[finding.severity])
-    return Verdict(tuple(found), _praise(run, evidence))
+    # first what the data say of each other: what the run shows comes of it
+    found = [f for f in data_findings(replace(mission, truth=None), run.vehicle) if not _estimated(f, run)]
+    found += [*doubts(run, mission, evidence, limits), *_remarks(mission)]
+    return Verdict(
+        tuple(sorted(found, key=lambda finding: rank[finding.severity])),
+        _praise(run, evidence),
+        tuple(_lacking(run, mission)),
+    )
+
+
+#: What a finding is about -> words in the names of the states that hold the same.
+_STATES = {"mounting": ("misalignment", ".bias"), "clock": ("time_offset",), "scale": ("scale",)}
+#: What a zero velocity that stands in may be corrected by.
+_VELOCITIES = ("velocity",)
+
+
+def _estimated(finding: Finding, run: Track) -> bool:
+    """Whether the filter had states for what a finding is about."""
+    return any(word in state for word in _STATES.get(finding.about, ()) for state in run.state_names)
+
+
+def _remarks(mission: Mission) -> Iterator[Finding]:
+    """What the reader says of the times."""
+    for note in mission.notes:
+        if "UTC is unknown" in note:
+            yield Finding("info", "", note.removesuffix("."))
+
+
+def _lacking(run: Track, mission: Mission) -> Iterator[str]:
+    """Why a track is not judged: what drives was not measured, or nothing could have contradicted it."""
+    heard = {name: r.count("used") for name, r in run.residuals.items() if name in run.vehicle.sensors}
+    used = [run.vehicle.sensors[name].observes.corrects for name, count in heard.items() if count]
+    for name in run.vehicle.driving:
+        stream = mission.streams.get(name)
+        said = f"{name} {STANDS_IN}" in mission.notes
+        still = stream is not None and name == "velocity" and not np.nan_to_num(stream.value).any()
+        if said or (still and not set(used) & set(_VELOCITIES)):
+            yield f"{name} {STANDS_IN}"
+    if not set(used) - {"depth", ""}:
+        yield "nothing on board corrects what drives" + (", but the depth" if used else "")
 
 
 def _praise(run: Track, evidence: Evidence) -> str:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 MAX_SAMPLES = 50_000
 LEAST_SAMPLES = 50
+#: A whole circle in degrees, radians and gon.
+CIRCLES = (360.0, 2.0 * np.pi, 400.0)
 #: No noise lies so many robust standard deviations off; a transmission error does.
 GROSS = 50.0
 #: A share of repeated values above this, in a series that is not coarsely quantised, means a sensor slower than its
@@ -100,6 +102,7 @@ def condition(
     if infinite:
         notes.append(f"{infinite} infinite samples count as missing")
         x = np.where(np.isinf(x), np.nan, x)
+    x = _without_wraps(x, notes)
     if reject and np.isfinite(x).sum() >= LEAST_SAMPLES:
         x = _without_impulses(x, reject, notes)
     step = quantisation_step(x)
@@ -167,6 +170,27 @@ def _cut(series: Series, from_s: float | None, to_s: float | None, notes: list[s
             "s."
         )
     return x[first:last], series.begin_s + first / series.rate_hz
+
+
+def _without_wraps(x: Array, notes: list[str]) -> Array:
+    """An angle at rest that goes through the end of its circle (359, 0, 1 deg) as it is, without the jumps."""
+    known = np.flatnonzero(np.isfinite(x))
+    step = np.abs(np.diff(x[known]))
+    for circle in CIRCLES:
+        jumps = step > 0.5 * circle
+        low, high = (float(f(x[known], initial=0.0)) for f in (np.min, np.max))
+        inside = (low >= 0.0 and high <= circle) or (low >= -0.5 * circle and high <= 0.5 * circle)
+        if not (inside and jumps.any() and np.all((step > 0.75 * circle) | (step < 0.25 * circle))):
+            continue
+        whole = np.unwrap(x[known], period=circle)
+        if np.ptp(whole) < 0.5 * circle:
+            notes.append(
+                f"an angle that passes the end of its circle {int(jumps.sum())} times: {circle:.4g} is taken off"
+            )
+            x = x.copy()
+            x[known] = whole
+            break
+    return x
 
 
 def _without_impulses(x: Array, reject: float, notes: list[str]) -> Array:

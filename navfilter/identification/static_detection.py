@@ -26,6 +26,10 @@ SIDE, JUMP = 7, 6.0
 CENTRAL, CENTRAL_SD = 0.9, 0.79
 #: The quarter of the smallest steps between independent normal means lies below so many of their standard deviations.
 QUARTER_STEP = 0.4506
+#: Gaps of fewer samples are filled with noise drawn from all others, at the level of so many around, or more.
+_FEW, _AROUND = 16, 64
+#: Levels that lie apart by so many of their sd wander; of a hundred of white noise few do.
+_WANDERS = 6.0
 #: Disturbances up to this long [s] and of this share are bridged, where the level after them is that before; others
 #: part the record.
 BRIDGED_S, BRIDGED_SHARE = 10.0, 0.1
@@ -246,13 +250,18 @@ def without_defects(value: Array) -> tuple[Array, list[str]]:
 
 
 def bridged_rest(x: Array, gone: NDArray[np.bool_]) -> Array:
-    """A stretch with what is gone replaced by the noise before it (behind it at the beginning), at the level of its
-    neighbours.
+    """A stretch with what is gone replaced at the level of its neighbours: by the noise before it (behind it at the
+    beginning), or, where only a few samples are gone, by noise drawn from the others. Copied with their mean taken out,
+    few samples would have less noise than the rest.
     """
     x = x.copy()
     edges = np.flatnonzero(np.diff(np.r_[False, gone, False].astype(np.int8)))
+    drawn = _drawn(x, gone)
     for first, after in zip(edges[::2], edges[1::2], strict=True):
         size = after - first
+        if size < _FEW:
+            x[first:after] = drawn[first:after]
+            continue
         source = x[first - size : first] if first >= size else x[after : after + size]
         if source.size < size or (gone[after : after + size].any() and first < size):
             known = np.flatnonzero(~gone)
@@ -263,3 +272,36 @@ def bridged_rest(x: Array, gone: NDArray[np.bool_]) -> Array:
         ends = [part.mean() if part.size else source.mean() for part in (before, behind)]
         x[first:after] = source - source.mean() + np.linspace(ends[0], ends[1], size)
     return x
+
+
+def _drawn(x: Array, gone: NDArray[np.bool_]) -> Array:
+    """For every sample another one of the same noise: the level around it, and how far some other is from its own."""
+    known = np.where(gone, 0.0, x)
+    around = _steady_for(x[~gone])
+    if around >= np.count_nonzero(~gone):
+        count, total = np.full(x.size, float(np.count_nonzero(~gone))), np.full(x.size, known.sum())
+    else:
+        count, total = (
+            ndimage.uniform_filter1d(part, around, mode="nearest") * around for part in ((~gone).astype(float), known)
+        )
+    level = total / np.maximum(count, 1.0)
+    here = np.flatnonzero(~gone & (count > 1.5))
+    if not here.size:
+        return np.asarray(level)
+    # a sample is nearer to a level that it is part of itself
+    apart = (x[here] - level[here]) / np.sqrt(1.0 - 1.0 / count[here])
+    return np.asarray(level + np.random.default_rng(0).choice(apart, x.size))
+
+
+def _steady_for(x: Array) -> int:
+    """Over how many samples the level is that of white noise: levels of few samples scatter, and what is filled in with
+    them would be slow noise.
+    """
+    sd = float(np.std(np.diff(x))) / np.sqrt(2.0) if x.size > 2 else 0.0
+    around = _AROUND
+    while 4 * around <= x.size:
+        blocks = x[: x.size // (2 * around) * 2 * around].reshape(-1, 2 * around).mean(axis=1)
+        if np.ptp(blocks) > _WANDERS * sd / np.sqrt(2.0 * around):
+            return around
+        around *= 2
+    return max(around, x.size) if 4 * around > x.size else around

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io import dates
 from navfilter.io.contents import SD, SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.mission_schema import Clock, Component, Group, Reference
-from navfilter.io.tables import Table
-from navfilter.io.units import UNITS, parse_quantity, unit
+from navfilter.io.stamps import continued
+from navfilter.io.stream_joining import circular_mean
+from navfilter.io.table import BLANK, Table
+from navfilter.io.units import UNITS, Unit, angles, parse_quantity, unit
 from navfilter.models.mission import MissionError
 
 Array = npt.NDArray[np.float64]
 AXES = "xyz"
 #: In SI; what is beyond is no measurement, and its square could not be held.
 LARGEST = 1e100
+#: Who counts days from elsewhere, from where, and how many days that is before 1970.
+_DAYS = (("spreadsheets", "1899-12-30", 25569.0), ("MATLAB's datenum does", "year 0", 719529.0))
+#: Days of 1970-01-01 as `datetime.date.toordinal` counts, and of 2001 and 2100 since then.
+_DAY_1970, _DAY_2001, _DAY_2100 = 719163, 11323.0, 47482.0
 #: Thirty million years [s]: later no clock stands, and mean times and their differences stay numbers.
 LATEST_S = 1e15
 
@@ -28,6 +37,7 @@ class Counts:
     """What a source had to be relieved of; becomes the mission's notes."""
 
     unreadable: int = 0
+    example: str = ""
     sentinel: int = 0
     infinite: int = 0
 
@@ -42,9 +52,14 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
             values[:, k] = part.constant
             continue
         measured[k] = True
-        raw = _raw(table, part, rows, counts)
-        invalid[:, k] = _is_sentinel(raw, group)
-        values[:, k] = _si(raw, part, group, k, _stated_unit(table, name, part, k))
+        stated = _stated_unit(table, name, part, k)
+        references = (part.column,) if part.mean is None else part.mean
+        raws = [_raw(table, one, group, k, part, rows, counts) for one in references]
+        invalid[:, k] = np.logical_or.reduce([_is_sentinel(raw, group) for raw in raws])
+        if len(raws) > 1 and _unit_of(part, group, k, stated).dimension == "angle":
+            values[:, k] = circular_mean(np.stack([_si(raw, part, group, k, stated) for raw in raws]))
+        else:
+            values[:, k] = _si(sum(raws, np.zeros(rows)) / len(raws), part, group, k, stated)
     counts.sentinel += int(np.count_nonzero(invalid.any(axis=1)))
     infinite = np.abs(values) > LARGEST
     counts.infinite += int(np.count_nonzero(infinite))
@@ -60,16 +75,38 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
     return _oriented(values, name, group)
 
 
-def _raw(table: Table, part: Component, rows: int, counts: Counts) -> Array:
-    references: tuple[Reference, ...] = part.mean if part.mean is not None else (part.column,)  # type: ignore[assignment]
-    total = np.zeros(rows)
-    for reference in references:
+def _raw(
+    table: Table,
+    reference: Reference | tuple[Reference, ...] | None,
+    group: Group,
+    k: int,
+    part: Component,
+    rows: int,
+    counts: Counts,
+) -> Array:
+    """One column as numbers, in its own unit but for those of `angles`."""
+    assert reference is not None  # a component has one of column, constant and mean
+    given = part.unit or (group.unit if isinstance(group.unit, str) else group.unit[k])
+    if isinstance(reference, tuple) or (given and _is_angle_text(table.raw(reference), given)):
+        cells = table.joined(reference)
+        column = angles(cells, given)
+        known = ~np.isin([str(cell).strip().lower() for cell in cells.tolist()], BLANK)
+        unreadable = int(np.count_nonzero(known & np.isnan(column)))
+        if unreadable and not counts.example:
+            counts.example = f'"{cells[known & np.isnan(column)][0]}"' if table.quoted else ""
+    else:
         column, unreadable = table.numbers(reference)
-        if column.size != rows:
-            raise MissionError(f'{table.path}: column "{reference}" has {column.size} rows, its times have {rows}.')
-        counts.unreadable += unreadable
-        total += column
-    return total / len(references)
+        if unreadable and not counts.example:
+            counts.example = table.first_strange(reference)
+    if column.size != rows:
+        raise MissionError(f'{table.path}: column "{reference}" has {column.size} rows, its times have {rows}.')
+    counts.unreadable += unreadable
+    return column
+
+
+def _is_angle_text(raw: npt.NDArray[np.generic], name: str) -> bool:
+    """Whether a column of angles needs more than its numbers: letters, or degrees and minutes in one."""
+    return unit(name).dimension == "angle" and (raw.dtype.kind in "OUT" or unit(name) is UNITS["ddmm"])
 
 
 def _is_sentinel(raw: Array, group: Group) -> npt.NDArray[np.bool_]:
@@ -98,8 +135,12 @@ def _stated_unit(table: Table, name: str, part: Component, k: int) -> str:
     return stated
 
 
+def _unit_of(part: Component, group: Group, k: int, stated: str) -> Unit:
+    return unit(part.unit or (group.unit if isinstance(group.unit, str) else group.unit[k]) or stated)
+
+
 def _si(raw: Array, part: Component, group: Group, k: int, stated: str) -> Array:
-    known = unit(part.unit or (group.unit if isinstance(group.unit, str) else group.unit[k]) or stated)
+    known = _unit_of(part, group, k, stated)
     offset = group.offset if part.offset is None else part.offset
     after = 0.0
     if isinstance(offset, str):
@@ -141,29 +182,80 @@ def group_names(name: str, group: Group) -> tuple[str, ...]:
     return tuple(str(c.column) if c.column is not None else f"column_{k}" for k, c in enumerate(group.columns))
 
 
-def clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], rows: int) -> Array:
-    """Times of a source on the mission clock [s], NaN where a stamp cannot be read."""
-    time_s = _clock_times(clock, table, other, rows)
-    return np.where(np.abs(time_s) < LATEST_S, time_s, np.nan)
+class Times(NamedTuple):
+    """Times of the rows of a source.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        On the mission clock, NaN where a stamp cannot be read.
+    of_day : bool
+        They count from a midnight that the file does not name.
+    notes : tuple of str
+        What is in doubt, and how it was taken.
+    """
+
+    time_s: Array
+    of_day: bool = False
+    notes: tuple[str, ...] = ()
 
 
-def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], rows: int) -> Array:
+def clock_times(
+    clock: Clock, table: Table, other: Callable[[Clock], Table], rows: int, date: datetime.date | None = None
+) -> Times:
+    """Times of a source on the mission clock.
+
+    Parameters
+    ----------
+    clock : Clock
+    table : Table
+        Of the source.
+    other : callable
+        Gives the table of a clock that stands in a file of its own.
+    rows : int
+        Of the source.
+    date : datetime.date, optional
+        Day of the mission.
+
+    Raises
+    ------
+    MissionError
+        Where there are not as many times as rows, or dates cannot be told.
+    """
+    times = _clock_times(clock, table, other, rows, date)
+    return times._replace(time_s=np.where(np.abs(times.time_s) < LATEST_S, times.time_s, np.nan))
+
+
+def _clock_times(
+    clock: Clock, table: Table, other: Callable[[Clock], Table], rows: int, date: datetime.date | None
+) -> Times:
     if clock.rate_hz is not None:
-        return clock.start_s + np.arange(rows) / clock.rate_hz + clock.offset_s
+        return Times(clock.start_s + np.arange(rows) / clock.rate_hz + clock.offset_s)
     source = table if clock.file is None else other(clock)
     assert clock.column is not None  # guaranteed by Clock, for the type checker only
+    of_day, notes = source.clock == "of day", list[str]()
     if clock.unit == "iso8601":
-        raw = _iso_seconds(source.raw(clock.column))
+        try:
+            raw, of_day, note = dates.seconds(source.joined(clock.column), clock.order, date)
+        except ValueError as error:
+            raise MissionError(f"{source.path}: {error if source.quoted else 'its dates cannot be told.'}") from None
+        notes += [note] if note else []
     else:
-        raw, _ = source.numbers(clock.column)
+        assert not isinstance(clock.column, tuple)  # guaranteed by Clock too
+        raw, unreadable = source.numbers(clock.column)
+        notes += [f"stamps that are no numbers: {source.first_strange(clock.column)}"] if unreadable else []
     if raw.size != rows:
         raise MissionError(f'{source.path}: {raw.size} times for {rows} rows in "{table.path}".')
     raw = np.where(np.isfinite(raw), raw, np.nan)
     if clock.rollover is not None:
-        raw = raw + clock.rollover * _turns(raw, clock.rollover)
-    factor = 1.0 if clock.unit == "iso8601" else unit(_time_unit(clock, source)).factor
-    # Subtract before scaling: counters in microseconds since 1970 would lose digits.
+        raw = continued(raw, clock.rollover)
     known = np.flatnonzero(np.isfinite(raw))
+    stated = _time_unit(clock, source)
+    if stated == "day" and known.size and clock.scale == 1.0:
+        raw, note = _since_1970(raw)
+        notes += [note] if note else []
+    factor = 1.0 if clock.unit == "iso8601" else unit(stated).factor
+    # Subtract before scaling: counters in microseconds since 1970 would lose digits.
     if clock.from_first and known.size:
         raw = raw - raw[known[0]]
     time_s = raw * (factor * clock.scale)
@@ -171,7 +263,9 @@ def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], ro
         first, last = known[0], known[-1]
         step = (time_s[last] - time_s[first]) / (last - first)
         time_s = time_s[first] + step * (np.arange(rows) - first)
-    return time_s + clock.offset_s
+    if of_day and date is not None and clock.unit != "iso8601":
+        time_s = time_s + 86400.0 * (date.toordinal() - _DAY_1970)
+    return Times(time_s + clock.offset_s, of_day, tuple(notes))
 
 
 def _time_unit(clock: Clock, source: Table) -> str:
@@ -181,16 +275,11 @@ def _time_unit(clock: Clock, source: Table) -> str:
     return stated if known and "unit" not in clock.model_fields_set else clock.unit
 
 
-def _turns(raw: Array, rollover: float) -> Array:
-    known = np.isfinite(raw)
-    turns = np.zeros(raw.size)
-    turns[known] = np.cumsum(np.diff(raw[known], prepend=raw[known][:1]) < -0.5 * rollover)
-    return turns
-
-
-def _iso_seconds(raw: npt.NDArray[np.generic]) -> Array:
-    import pandas as pd
-
-    stamps = pd.to_datetime(pd.Series(raw).astype(str), errors="coerce", utc=True, format="mixed")
-    seconds = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-    return seconds.to_numpy(dtype=np.float64, na_value=np.nan)
+def _since_1970(days: Array) -> tuple[Array, str]:
+    """Days since 1970 of such as spreadsheets and MATLAB count, where they lie in this century by that; with a note."""
+    middle = float(np.nanmedian(days))
+    for who, day, zero in _DAYS:
+        # days that count from 1970 are fewer: 2071 is beyond every log
+        if max(_DAY_2001 + zero, _DAY_2001 * 3.0) < middle < _DAY_2100 + zero:
+            return days - zero, f"days as {who} count them, from {day} on"
+    return days, ""

@@ -19,7 +19,7 @@ from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import Unit, parse_quantity, unit
 from navfilter.models.mission import MissionError, Stream
 
-__all__ = ["ImuColumns", "ImuRecord", "read_imu", "size_of"]
+__all__ = ["ImuColumns", "ImuRecord", "bare_name", "found_axes", "read_imu", "size_of", "size_of_axes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +39,8 @@ _ENDINGS = {
 #: What the size of a resting accelerometer says of its unit.
 _SIZES = (("m/s^2", 9.80665), ("g", 1.0), ("mg", 1000.0))
 _SIZE_TOLERANCE = 0.25
+#: No vehicle turns faster [rad/s]: larger numbers are degrees.
+_FAST_RAD_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -220,7 +222,7 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
     notes = list(table.notes)
     axes: dict[str, Array] = {}
     for group in ("gyro", "accel"):
-        names = getattr(columns, group) or _found(table, group)
+        names = getattr(columns, group) or found_axes(table, group)
         if not names:
             continue
         if len(names) != 3:
@@ -252,7 +254,7 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
     return _on_a_grid(table.path, time, axes, columns.rate_hz, notes)
 
 
-def _bare(name: str) -> tuple[str, str]:
+def bare_name(name: str) -> tuple[str, str]:
     """A column's name in lower case without its unit, and that unit."""
     text = name.strip().lower()
     if match := re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])0-9][^\])]*)[\])]", text):
@@ -263,8 +265,9 @@ def _bare(name: str) -> tuple[str, str]:
     return text, ""
 
 
-def _found(table: Table, group: str) -> tuple[str, ...]:
-    bare = {name: _bare(name)[0] for name in table.columns}
+def found_axes(table: Table, group: str) -> tuple[str, ...]:
+    """The columns of the axes x, y, z of ``"gyro"`` or ``"accel"``, by their names; empty where there are none."""
+    bare = {name: bare_name(name)[0] for name in table.columns}
     for axes in _AXES:
         for pattern in (rf"{_NAMES[group]}({{}})\]?", rf"({{}})_?{_NAMES[group]}"):
             found = [[n for n, text in bare.items() if re.fullmatch(pattern.format(axis), text)] for axis in axes]
@@ -285,7 +288,7 @@ def _factor(
     table: Table, group: str, given: str, names: Sequence[str], values: Sequence[Array], notes: list[str]
 ) -> float:
     """From the file's unit to SI: as given, as the file says, as the names say, or by the size of gravity."""
-    told = given or table.units.get(names[0], "") or _bare(names[0])[1]
+    told = given or table.units.get(names[0], "") or bare_name(names[0])[1]
     if told:
         size, found = size_of(told)
         if found.dimension != _DIMENSIONS[group]:
@@ -299,6 +302,18 @@ def _factor(
                 return unit(name).factor
     example = "deg/s, or 0.05 deg/s for counts of that size" if group == "gyro" else "g, or 0.001 g for such counts"
     raise MissionError(f"{table.path}: say in which unit {', '.join(names)} are: --{group}-unit U ({example}).")
+
+
+def size_of_axes(table: Table, group: str, names: Sequence[str]) -> str:
+    """The unit of axes: as their names say, of accelerometers by gravity, of gyros by how fast they turn."""
+    told = table.units.get(names[0], "") or bare_name(names[0])[1]
+    if told:
+        return told
+    values = [table.numbers(name)[0] for name in names]
+    if group == "accel":
+        length = float(np.sqrt(sum(float(np.nanmedian(value)) ** 2 for value in values)))
+        return min(_SIZES, key=lambda one: abs(np.log(max(length, 1e-9) / one[1])))[0]
+    return "deg/s" if max(float(np.nanquantile(np.abs(value), 0.99)) for value in values) > _FAST_RAD_S else "rad/s"
 
 
 def size_of(text: str) -> tuple[float, Unit]:

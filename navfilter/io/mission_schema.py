@@ -26,6 +26,11 @@ Amount = Annotated[float, Field(ge=-1e12, le=1e12)]
 Sd = Annotated[float, Field(ge=0, le=1e12)]
 
 
+def each_of(given: Reference | tuple[Reference, ...] | None) -> set[Reference]:
+    """The columns of one or several."""
+    return set(given) if isinstance(given, tuple) else set() if given is None else {given}
+
+
 def _check_unit(name: str) -> str:
     unit(name)
     return name
@@ -34,7 +39,7 @@ def _check_unit(name: str) -> str:
 class Component(Strict):
     """One component of a group: a column, a constant or the mean of several columns."""
 
-    column: Reference | None = None
+    column: Reference | tuple[Reference, ...] | None = None
     constant: float | None = None
     mean: tuple[Reference, ...] | None = None
     unit: str | None = None
@@ -49,6 +54,8 @@ class Component(Strict):
     def _one_origin(self) -> Component:
         if sum(v is not None for v in (self.column, self.constant, self.mean)) != 1:
             raise ValueError("give exactly one of column, constant and mean")
+        if self.mean is not None and not self.mean:
+            raise ValueError("mean needs the columns that it is of")
         return self
 
     @field_validator("offset")
@@ -133,8 +140,9 @@ class Clock(Strict):
     file: str | None = None
     table: str = ""
     transpose: bool = False
-    column: Reference | None = None
+    column: Reference | tuple[Reference, ...] | None = None
     unit: str = "s"
+    order: Literal["dmy", "mdy", "ymd"] | None = None
     scale: float = Field(default=1.0, gt=0)
     rollover: float | None = Field(default=None, gt=0)
     from_first: bool = False
@@ -155,6 +163,8 @@ class Clock(Strict):
     def _column_or_rate(self) -> Clock:
         if (self.column is None) == (self.rate_hz is None):
             raise ValueError("give either the column of times or rate_hz (with start_s)")
+        if self.unit != "iso8601" and (self.order is not None or isinstance(self.column, tuple)):
+            raise ValueError('several columns, and order, are of dates: unit = "iso8601"')
         return self
 
 
@@ -166,12 +176,13 @@ class Source(Strict):
     transpose: bool = False
     header: bool | tuple[str, ...] | None = None
     delimiter: str | None = None
-    decimal: str = "."
+    decimal: str | None = Field(default=None, min_length=1, max_length=1)
     comment: str = "#"
     skip_lines: int = Field(default=0, ge=0)
     skip_rows: int = Field(default=0, ge=0)
     topic: str = ""
     where: tuple[Where, ...] = ()
+    run: int | None = Field(default=None, ge=1)
     time: Clock
     only_changes: bool | tuple[Reference, ...] = False
     max_gap_s: float | None = Field(default=None, gt=0)
@@ -187,10 +198,10 @@ class Source(Strict):
         """The columns that are named anywhere in this source."""
         named = {condition.column for condition in self.where}
         named |= set(self.only_changes) if isinstance(self.only_changes, tuple) else set()
-        if self.time.file is None and self.time.column is not None:
-            named.add(self.time.column)
+        if self.time.file is None:
+            named |= each_of(self.time.column)
         for part in (part for group in self.groups().values() for part in group.columns):
-            named |= {part.column} if part.column is not None else set(part.mean or ())
+            named |= each_of(part.column if part.column is not None else part.mean)
         return named
 
     def groups(self) -> dict[str, Group]:
@@ -238,6 +249,7 @@ class StreamSpec(Strict):
     resample_hz: float | None = Field(default=None, gt=0)
     windows: tuple[tuple[float, float], ...] = ()
     hide: tuple[tuple[float, float], ...] = ()
+    stands_in: bool = False
     lever_arm_b_m: tuple[Amount, Amount, Amount] | None = None
 
     @model_validator(mode="before")

@@ -9,13 +9,24 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io import geodesy
-from navfilter.io.columns import Counts, clock_times, group_names, group_values
+from navfilter.io.columns import Counts, Times, clock_times, group_names, group_values
 from navfilter.io.contents import SD, driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
-from navfilter.io.mission_epoch import epoch_of
-from navfilter.io.mission_schema import Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream, mission_spec
+from navfilter.io.logs.topic_names import INSTRUMENT
+from navfilter.io.mission_epoch import day_of, epoch_of
+from navfilter.io.mission_schema import (
+    Clock,
+    MissionSpec,
+    Origin,
+    Source,
+    StreamSpec,
+    TruthStream,
+    each_of,
+    mission_spec,
+)
 from navfilter.io.mission_start import start_of
+from navfilter.io.stamps import runs_of, shown, strays
 from navfilter.io.stream_joining import block_mean, block_sd, mean, resampled
 from navfilter.io.tables import Table, TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place, expand
@@ -27,6 +38,20 @@ Bool = npt.NDArray[np.bool_]
 
 #: More than a month at 100 Hz.
 _MOST_ROWS = 3e8
+QUATERNION = "quaternion"
+#: What a note says of a stream, behind its name, that the mission.toml says was not measured.
+STANDS_IN = "stands in for what was not measured"
+DAY_S = 86400.0
+#: A message names so many runs.
+MOST_RUNS = 4
+
+
+class RunsError(MissionError):
+    """The clock of a file begins anew: it holds several runs, and nobody said which is meant. That is wrong with the
+    mission, and not with how the command was used.
+    """
+
+    exit_code = 1
 
 
 def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES) -> Mission:
@@ -51,11 +76,13 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
     logged_start = None
     if spec.log is not None:
         streams, logged_start, reader.notes = read_log(reader.place(spec.log.file), spec.log.columns)
+    reader.align_days(spec)
     for name, stream_spec in spec.streams.items():
         streams[name] = reader.stream(name, stream_spec)
     truth = None if spec.truth is None else reader.truth(spec.truth)
-    epoch_utc_s, doubts = epoch_of(spec, (*streams.values(), truth))
+    epoch_utc_s, doubts = epoch_of(spec, (*streams.values(), truth), reader.instruments())
     reader.notes += doubts
+    date = spec.date or day_of(epoch_utc_s, (*streams.values(), truth))
     zero = _zero(spec.zero_s, streams, truth)
     if zero:
         streams = {name: stream.later(-zero) for name, stream in streams.items()}
@@ -70,8 +97,8 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
         name=spec.name or path.resolve().parent.name,
         streams=streams,
         truth=truth,
-        start=logged_start if spec.start is None else start_of(spec.start, truth, spec.date, path),
-        date=spec.date,
+        start=logged_start if spec.start is None else start_of(spec.start, truth, date, path),
+        date=date,
         notes=tuple(reader.notes),
         windows=spec.windows,
         epoch_utc_s=None if epoch_utc_s is None else epoch_utc_s + zero,
@@ -98,10 +125,16 @@ class _Reader:
     """Reads sources relative to one folder, each file once, and collects notes."""
 
     def __init__(self, folder: Path, spec: MissionSpec, confine: bool, allowance: Allowance) -> None:
-        self.folder, self._confine, self._allowance = folder, confine, allowance
+        self.folder, self._confine, self._allowance, self._date = folder, confine, allowance, spec.date
         self.notes: list[str] = []
         self._shelf = Shelf(_wanted_of_logs(spec, folder), allowance)
         self._tables: dict[tuple[Place, TableOptions], Table] = {}
+        self._times: dict[int, Times] = {}
+
+    def instruments(self) -> list[str]:
+        """Files whose times are of an instrument's own clock; none where others give a time too."""
+        by_instrument = [Path(t.path.split(" ")[0]).name for t in self._tables.values() if t.clock == INSTRUMENT]
+        return by_instrument if len(by_instrument) == len(self._tables) else []
 
     def place(self, file: str) -> Place:
         """A file that the .toml names."""
@@ -117,6 +150,8 @@ class _Reader:
     def stream(self, name: str, spec: StreamSpec) -> Stream:
         """One sensor's stream."""
         time_s, parts, columns = self._merged(name, spec)
+        if spec.stands_in:
+            self.notes.append(f"{name} {STANDS_IN}")
         sd = parts.pop(SD, None)
         given = list(parts)
         if "ecef" in given:
@@ -167,9 +202,10 @@ class _Reader:
                     columns.setdefault(group, group_names(group, source.groups()[group]))
                     circular = _on_circle(columns[group])
                     if own_time is not time_s:
-                        own[group] = resampled(time_s, own_time, own[group], circular, source.max_gap_s)
+                        rotation = group == QUATERNION
+                        own[group] = resampled(time_s, own_time, own[group], circular, source.max_gap_s, rotation)
                     given.append(own[group])
-            parts[group] = given[0] if len(given) == 1 else mean(given)
+            parts[group] = given[0] if len(given) == 1 else mean(given, circular, group == QUATERNION)
         if spec.resample_hz is not None:
             # Between slow readings of a turning vehicle, interpolated ones are nearer the truth than held ones.
             rows = (time_s[-1] - time_s[0]) * spec.resample_hz
@@ -180,41 +216,101 @@ class _Reader:
                 )
             even = np.arange(time_s[0], time_s[-1], 1.0 / spec.resample_hz)
             for group, part in parts.items():
-                parts[group] = resampled(even, time_s, part, _on_circle(columns[group]), None)
+                circular = _on_circle(columns[group])
+                parts[group] = resampled(even, time_s, part, circular, None, group == QUATERNION)
             time_s = even
         if spec.average > 1:
             circles = {group: _on_circle(columns[group]) for group in parts}
             sd = {SD: block_sd(parts[SD], spec.average)} if SD in parts else {}
-            parts = {group: block_mean(part, spec.average, circles[group]) for group, part in parts.items()} | sd
+            parts = {
+                group: block_mean(part, spec.average, circles[group], group == QUATERNION)
+                for group, part in parts.items()
+            } | sd
             time_s = block_mean(time_s[:, np.newaxis], spec.average, np.zeros(1, dtype=bool))[:, 0]
         if spec.every > 1:
             time_s, parts = time_s[:: spec.every], {group: part[:: spec.every] for group, part in parts.items()}
         return time_s, parts, columns
 
+    def align_days(self, spec: MissionSpec) -> None:
+        """Let times of day without a date begin on the day of the others that went on over midnight."""
+        truth = [] if spec.truth is None else [spec.truth]
+        sources = [source for stream in (*spec.streams.values(), *truth) for source in stream.sources]
+        for source in sources:
+            if source.time.unit == "iso8601" or source.topic:
+                table = self.table(source.file, _layout(source))
+                times = clock_times(source.time, table, self._clock_table, _rows(table, source), self._date)
+                if times.of_day and np.isfinite(times.time_s).any():
+                    self._times[id(source)] = times
+        spans = {key: (np.nanmin(t.time_s), np.nanmax(t.time_s)) for key, t in self._times.items()}
+        for key, (begin, end) in spans.items():
+            apart = all(end < first or begin > last for other, (first, last) in spans.items() if other != key)
+            goes_on = any(first < begin + DAY_S <= last for other, (first, last) in spans.items() if other != key)
+            if apart and goes_on:
+                self._times[key] = self._times[key]._replace(time_s=self._times[key].time_s + DAY_S)
+
     def _source(self, name: str, source: Source) -> tuple[Array, dict[str, Array]]:
         """Sorted times and groups of one source; every row dropped or mended on the way is noted."""
-        options = TableOptions(
-            **{key: getattr(source, key) for key in TableOptions.__dataclass_fields__}  # same names on purpose
-        )
-        table = self.table(source.file, options)
+        table = self.table(source.file, _layout(source))
         groups = source.groups()
         counts = Counts()
         rows = _rows(table, source)
-        time_s = clock_times(source.time, table, self._clock_table, rows)
+        times = self._times.pop(id(source), None)
+        times = times or clock_times(source.time, table, self._clock_table, rows, self._date)
+        time_s = times.time_s
         parts = {key: group_values(table, key, group, rows, counts) for key, group in groups.items()}
-        keep = np.isfinite(time_s)
         where = f"{name} ({Path(table.path).name})"
-        self._note(where, int(np.count_nonzero(~keep)), "rows without a readable time dropped")
-        self._note(where, counts.unreadable, "cells that are no number taken as missing")
+        self.notes += [f"{where}: {note}" for note in times.notes]
+        self._note(where, int(np.count_nonzero(~np.isfinite(time_s))), "rows without a readable time dropped")
+        example = f", such as {counts.example}" if counts.example else ""
+        self._note(where, counts.unreadable, f"cells that are no number taken as missing{example}")
         self._note(where, counts.sentinel, "rows marked invalid by their value")
         self._note(where, counts.infinite, "infinite values taken as missing")
+        if SD in parts:
+            unknown = parts[SD] <= 0.0
+            parts[SD][unknown] = np.nan
+            what = "readings with an sd of 0 or less: it is unknown, that of vehicle.toml holds"
+            self._note(where, int(np.count_nonzero(unknown.any(axis=1))), what)
+        time_s = self._one_run(where, source, self._supported(where, time_s))
+        keep = np.isfinite(time_s)
         if source.only_changes:
             keep &= self._changed(table, source, parts)
+        if not keep.any():
+            found = "; ".join(times.notes) or f"{rows} rows were there"
+            raise MissionError(f"{where}: no row is left ({found}); check the time column, its unit and the sentinels.")
         time_s, parts = time_s[keep], {key: part[keep] for key, part in parts.items()}
-        time_s, parts = self._ordered(where, time_s, parts)
-        if not time_s.size:
-            raise MissionError(f"{where}: no row is left; check the time column, its unit and the sentinels.")
-        return time_s, parts
+        return self._ordered(where, time_s, parts)
+
+    def _supported(self, where: str, time_s: Array) -> Array:
+        """The stamps but for those that no neighbour supports."""
+        stray = strays(time_s)
+        if stray.any():
+            row = int(np.argmax(stray))
+            what = f"stamps that no neighbour supports left out, such as {shown(time_s[row])} in row {row + 1}"
+            self._note(where, int(stray.sum()), what)
+        return np.where(stray, np.nan, time_s) if stray.any() else time_s
+
+    def _one_run(self, where: str, source: Source, time_s: Array) -> Array:
+        """The stamps of the run asked for; the only one needs no asking."""
+        runs = runs_of(time_s)
+        count = len(runs.rows)
+        if source.run is None and count < 2:
+            return time_s
+        if source.run is None or source.run > max(count, 1):
+            which = ", ".join(
+                f"rows {first + 1} to {last + 1} from {shown(begin)} to {shown(end)}"
+                for (first, last), (begin, end) in zip(runs.rows[:MOST_RUNS], runs.spans_s, strict=False)
+            )
+            more = f" and {count - MOST_RUNS} more" if count > MOST_RUNS else ""
+            if source.run is None:
+                cure = f"Its clock was set, or it was started again. Take one of them: run = 1 to {count} beside file"
+            else:
+                cure = f"There is no run = {source.run}"
+            raise RunsError(f"{where}: {count} runs behind one another: {which}{more}. {cure}.")
+        first, last = runs.rows[source.run - 1]
+        own = np.full(time_s.size, np.nan)
+        own[first : last + 1] = time_s[first : last + 1]
+        self._note(where, int(np.isfinite(time_s).sum() - np.isfinite(own).sum()), f"rows are not of run {source.run}")
+        return own
 
     def _clock_table(self, clock: Clock) -> Table:
         assert clock.file is not None  # only called with one, for the type checker
@@ -261,14 +357,19 @@ def _wanted_of_logs(spec: MissionSpec, folder: Path) -> dict[Path, dict[str, set
     return wanted
 
 
+def _layout(source: Source) -> TableOptions:
+    return TableOptions(**{key: getattr(source, key) for key in TableOptions.__dataclass_fields__})  # the same names
+
+
 def _rows(table: Table, source: Source) -> int:
-    """Rows of a source: those of the first column it names."""
+    """Rows of a source: those of the first column it names, or of its times where all else is constant."""
     for group in source.groups().values():
         for part in group.columns:
-            reference = part.column if part.column is not None else (part.mean or (None,))[0]
-            if reference is not None:
+            for reference in each_of(part.column if part.column is not None else part.mean):
                 return int(table.raw(reference).shape[0])
-    raise MissionError(f"{table.path}: all columns are constant; name at least one column of the file.")
+    if source.time.column is None or source.time.file is not None:
+        raise MissionError(f"{table.path}: all columns are constant; name at least one column of the file.")
+    return int(table.joined(source.time.column).shape[0])
 
 
 def _on_circle(names: tuple[str, ...]) -> Bool:

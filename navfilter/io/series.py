@@ -19,17 +19,20 @@ import numpy.typing as npt
 
 from navfilter.io import read_mission
 from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.text_tables import delimiter_of, fields_of
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import unit
 from navfilter.models.mission import MissionError
 
-__all__ = ["Series", "on_a_grid", "read_series"]
+__all__ = ["Series", "first_lines", "on_a_grid", "read_series"]
 
 Array = npt.NDArray[np.float64]
 
 #: Steps of a clock that stamps bursts: the median lies below this share of the mean, and either fewer than this share
 #: of the steps are multiples of it, as they are where samples are missing, or it lies so far below.
 BURSTY, MULTIPLES, FAR_BELOW = 0.7, 0.8, 0.3
+#: A rate that is given agrees with the stamps within this share: clocks are off by less.
+OTHER_RATE = 0.1
 #: A step of so many mean ones is a gap also between bursts.
 LONG_STEP = 60.0
 
@@ -137,9 +140,8 @@ def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[Tabl
         return (replace(options, table=part[1]), part[2], []) if part else (options, column, [])
     if column.isdecimal() or not path.is_file():
         return options, column, []
-    for number, line in enumerate(_first_lines(path)):
-        fields = re.split("[,;\t]", line) if re.search("[,;\t]", line) else line.split()
-        if column in [name.strip().strip('"') for name in fields]:
+    for number, line in enumerate(first_lines(path)):
+        if column in [name.strip() for name in fields_of(line.strip(), delimiter_of(line))]:
             notes = [f"the header was found on line {number + 1}"] if number else []
             return replace(options, skip_lines=number), column, notes
     return options, column, []
@@ -151,7 +153,7 @@ _OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open
 _BEGINNING = 1 << 20
 
 
-def _first_lines(path: Path, most: int = 40) -> list[str]:
+def first_lines(path: Path, most: int = 40) -> list[str]:
     """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
     try:
         with _OPENERS.get(path.suffix.lower(), open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
@@ -228,6 +230,12 @@ def on_a_grid(
         notes.append(f"the stamps come in bursts; samples are taken to be evenly spaced, {1.0 / even:.6g} Hz")
         step = np.where(step > LONG_STEP * even, step, even)
         rate_hz = 1.0 / even
+    if rate_hz and not _agrees(step, rate_hz):
+        usual = float(np.median(step))
+        raise MissionError(
+            f"{source}: the times of {name} are {usual:.4g} s apart ({1.0 / usual:.6g} Hz), not {1.0 / rate_hz:.4g} s"
+            f" ({rate_hz:g} Hz). Leave the rate out, or check the unit of the times."
+        )
     period = 1.0 / rate_hz if rate_hz else float(np.median(step))
     places = np.maximum(np.round(step / period - 0.001), 1.0)
     if places.sum() > 10 * time.size:
@@ -241,6 +249,14 @@ def on_a_grid(
     if grid.size > time.size:
         notes.append(f"{grid.size - time.size} samples are missing in {int(np.sum(places > 1))} gaps")
     return Series(name, grid, 1.0 / period, source, float(time[0]), tuple(notes))
+
+
+def _agrees(step: Array, rate_hz: float) -> bool:
+    """Whether steps are of a rate, or of one of which samples are missing."""
+    periods = step * rate_hz
+    usual = float(np.median(periods))
+    whole = float(np.mean(np.abs(periods - np.round(periods)) < 0.2))
+    return abs(usual - 1.0) < OTHER_RATE or (usual > 1.0 and whole > MULTIPLES)
 
 
 def _even_step(step: Array) -> float | None:

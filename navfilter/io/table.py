@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from navfilter.models.mission import MissionError
 
-__all__ = ["Table", "listing"]
+__all__ = ["BLANK", "Table", "listing"]
 
 Array = npt.NDArray[np.float64]
 
-_BLANK = ("", "nan", "na", "n/a", "null", "none")
+#: Texts that say that there is no value.
+BLANK = ("", "nan", "na", "n/a", "null", "none")
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Table:
         Units of columns where the file itself says so; they hold where the mapping says nothing.
     quoted : bool
         Whether messages may show what is written in the file.
+    clock : str
+        What `log_time` counts by where that is not UTC, see `navfilter.io.logs.topic_names`.
     """
 
     path: str
@@ -42,6 +45,7 @@ class Table:
     notes: tuple[str, ...] = field(default=())
     units: Mapping[str, str] = field(default_factory=dict)
     quoted: bool = True
+    clock: str = ""
 
     def raw(self, reference: str | int) -> npt.NDArray[Any]:
         """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
@@ -58,6 +62,22 @@ class Table:
             raise MissionError(f'{self.path}: there is no column "{reference}" ({known}).')
         return self.columns[reference]
 
+    def joined(self, reference: str | int | tuple[str | int, ...]) -> npt.NDArray[Any]:
+        """A column, or the texts of several with a blank between, row by row: a date and its time, a number and its
+        letter.
+        """
+        if not isinstance(reference, tuple):
+            return self.raw(reference)
+        cells = zip(*(self.raw(one) for one in reference), strict=True)
+        return np.array([" ".join(str(cell).strip() for cell in row) for row in cells], dtype=object)
+
+    def first_strange(self, reference: str | int) -> str:
+        """The first cell that is neither a number nor blank, with its row: for messages."""
+        values, _ = self.numbers(reference)
+        cells = zip(self.raw(reference).tolist(), np.isnan(values).tolist(), strict=True)
+        row, cell = next((k, c) for k, (c, bad) in enumerate(cells) if bad and str(c).strip().lower() not in BLANK)
+        return f'"{str(cell)[:40]}" in row {row + 1} of {reference}' if self.quoted else f"row {row + 1}"
+
     def numbers(self, reference: str | int) -> tuple[Array, int]:
         """A column as float64 with NaN for what is no number, and how many cells were text that is no number."""
         raw = self.raw(reference)
@@ -73,7 +93,7 @@ class Table:
             values = coerced(raw)
         except OverflowError:  # an integer of hundreds of digits, which is infinite like the same with an exponent
             values = coerced([_finite_or_infinite(cell) for cell in raw])
-        wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
+        wrong = [isinstance(cell, str) and cell.strip().lower() not in BLANK for cell in raw[np.isnan(values)]]
         return values, sum(wrong)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import io
 import lzma
 import zlib
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ import numpy.typing as npt
 
 from navfilter.io.row_conditions import Where
 from navfilter.io.table import Table, listing
+from navfilter.io.text_tables import before_comment, read_text
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
 
@@ -32,8 +32,6 @@ _OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open
 #: Columns of a MOOS log.
 _ALOG = ("time", "name", "source", "value")
 _BINARY = {".npy", ".npz", ".mat"}
-#: Where lines end other than by themselves (`str.splitlines`), hold nothing, or have spaces around them.
-_UNTIDY = [b"\r", b"\x0b", b"\x0c", b"\x1c", b"\x1d", b"\x1e", b"\n\n", b"\n ", b" \n"]
 #: Logs that cannot be taken for tables.
 _LOGS = {".bag", ".db3", ".mcap", ".ulg", ".tlog", ".ad2cp"}
 
@@ -52,8 +50,10 @@ class TableOptions:
         Whether a text file has a line of names, or the names themselves; None: a first line without any number is one.
     delimiter : str or None
         ``","``, ``";"``, ``"\\t"``, ``"whitespace"`` or None (recognised from the first line).
-    decimal, comment : str
-        Decimal point; character that starts a comment, to the end of its line.
+    decimal : str or None
+        Decimal point or comma; None: a comma where the numbers of the first rows have one and none has a point.
+    comment : str
+        What begins a line of comment, or a comment behind a whole row; within a cell it is text.
     skip_lines, skip_rows : int
         Lines to skip before the header; rows of data to skip after it.
     topic : str
@@ -66,7 +66,7 @@ class TableOptions:
     transpose: bool = False
     header: bool | tuple[str, ...] | None = None
     delimiter: str | None = None
-    decimal: str = "."
+    decimal: str | None = None
     comment: str = "#"
     skip_lines: int = 0
     skip_rows: int = 0
@@ -119,7 +119,7 @@ def read_table(file: Path | Place, options: TableOptions | None = None, shelf: S
         if path.suffix.lower() == ".alog" and options.header is None:
             options = replace(options, header=_ALOG, comment="%", delimiter="whitespace")
         names = tuple(condition for condition in options.where if isinstance(condition.equals, str))
-        table = _read_long(place, names, options) if names else _read_text(place, _unpack(place), options)
+        table = _read_long(place, names, options) if names else read_text(place, _unpack(place), options)
         options = replace(options, where=tuple(c for c in options.where if c not in names))
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
         raise MissionError(f"{place.shown} holds no rows of data.")
@@ -154,12 +154,12 @@ def _read_long(place: Place, names: tuple[Where, ...], options: TableOptions) ->
     kept, rows, passed = [], 0, 0
     for line in lines(place.path, Counter(), place.allowance):
         # What precedes the rows (header, comments) decides how they are read.
-        rows += rows <= head and bool(_before(line.decode("utf-8-sig", "replace"), options.comment))
+        rows += rows <= head and bool(before_comment(line.decode("utf-8-sig", "replace"), options.comment))
         if rows <= head or all(text in line for text in texts):
             kept.append(line)
         else:
             passed += bool(line)
-    table = _read_text(place, b"\n".join(kept), options)
+    table = read_text(place, b"\n".join(kept), options)
     chosen = _chosen_rows(table, names)
     left_out = passed + len(next(iter(table.columns.values()))) - len(next(iter(chosen.columns.values())))
     words = " and ".join(condition.words() for condition in names)
@@ -234,125 +234,3 @@ def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> 
     except (ValueError, IndexError) as error:
         raise MissionError(f'{place.shown}: table = "{reference}" cannot be picked: {error}.') from None
     return np.asarray(array)
-
-
-# --- text -----------------------------------------------------------------------------------------------------------
-
-
-def _read_text(place: Place, data: bytes, options: TableOptions) -> Table:
-    import warnings
-
-    import pandas as pd
-
-    if b"\0" in data[:65536]:
-        raise MissionError(f"{place.shown} is not a text file (it contains zero bytes).")
-    rows = io.BytesIO(_tidy(data, options))
-    delimiter, first = options.delimiter, _next(rows)
-    if first.lower().startswith("sep=") and len(first) == 5:
-        delimiter = delimiter or first[4]
-        rows = io.BytesIO(rows.read())
-        first = _next(rows)
-    if not first:
-        raise MissionError(f"{place.shown} holds no rows of data.")
-    delimiter = delimiter or _delimiter(first, options.decimal)
-    fields = _split(first, delimiter)
-    has_header = options.header if isinstance(options.header, bool) else not any(map(_is_number, fields))
-    if isinstance(options.header, tuple):
-        names, has_header = list(options.header), False
-    else:
-        names = [name.strip().strip('"') for name in fields] if has_header else [str(k) for k in range(len(fields))]
-    if not has_header:
-        rows.seek(0)
-    for _ in range(options.skip_rows):
-        rows.readline()
-    begin = rows.tell()
-    first = _next(rows)
-    if not first:
-        raise MissionError(f"{place.shown} holds no rows of data.")
-    rows.seek(begin)
-    count = 1 + rows.getvalue().count(b"\n", begin, -1)
-    names, bare = _unique(names), len(names)
-    width = max(bare, len(_split(first, delimiter)))
-    names += [f"unnamed {k}" for k in range(bare, width)]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            frame = pd.read_csv(
-                rows,
-                sep=r"\s+" if delimiter == "whitespace" else delimiter,
-                header=None,
-                names=names,
-                index_col=False,
-                decimal=options.decimal,
-                skipinitialspace=True,
-                on_bad_lines="skip",
-                low_memory=False,
-            )
-    except Exception as error:  # pandas raises half a dozen unrelated types on garbage
-        reason = str(error).splitlines()[0] if str(error) and place.quoted else type(error).__name__
-        raise MissionError(f"{place.shown} cannot be read as a table: {reason}.") from None
-    notes = []
-    if len(frame) < count:
-        notes.append(f"{Path(place.shown).name}: {count - len(frame)} rows with too many fields skipped")
-    columns = {name: frame[name].to_numpy() for name in names}
-    while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
-        columns.popitem()
-    return Table(place.shown, columns, tuple(notes), quoted=place.quoted)
-
-
-def _tidy(data: bytes, options: TableOptions) -> bytes:
-    """The lines that hold something, without comments and spaces around them, as UTF-8.
-
-    Most logs are so from the start. A line as an object of its own takes twice its text, a day's log ten gigabytes.
-    """
-    plain = data.replace(b"\r\n", b"\n") if b"\r" in data else data
-    untidy = [*_UNTIDY, options.comment.encode()] if options.comment else _UNTIDY
-    edges = plain[:1] in (b" ", b"\n") or plain.endswith(b" ")
-    if not (options.skip_lines or edges) and plain.isascii() and not any(mark in plain for mark in untidy):
-        return plain
-    text = data.decode("utf-8-sig", errors="replace")
-    lines = text.splitlines()[options.skip_lines :]
-    if options.comment and options.comment in text:
-        lines = [line.split(options.comment, 1)[0] for line in lines]
-    return "\n".join(kept for line in lines if (kept := line.strip(" \r\n"))).encode()
-
-
-def _next(rows: io.BytesIO) -> str:
-    return rows.readline().decode().rstrip("\n")
-
-
-def _before(line: str, comment: str) -> str:
-    return (line.split(comment, 1)[0] if comment else line).strip(" \r\n")
-
-
-def _delimiter(line: str, decimal: str) -> str:
-    for candidate in ("\t", ";", ","):
-        if candidate in line and candidate != decimal:
-            return candidate
-    return "whitespace" if len(line.split()) > 1 else ","
-
-
-def _split(line: str, delimiter: str) -> list[str]:
-    return line.split() if delimiter == "whitespace" else line.split(delimiter)
-
-
-def _is_number(field_text: str) -> bool:
-    try:
-        float(field_text.strip().replace(",", "."))
-    except ValueError:
-        return False
-    return True
-
-
-def _is_blank(cell: object) -> bool:
-    return (isinstance(cell, float) and np.isnan(cell)) or (isinstance(cell, str) and not cell.strip())
-
-
-def _unique(names: list[str]) -> list[str]:
-    seen: dict[str, int] = {}
-    result = []
-    for position, name in enumerate(names):
-        base = name or f"unnamed {position}"
-        seen[base] = seen.get(base, 0) + 1
-        result.append(base if seen[base] == 1 else f"{base}.{seen[base] - 1}")
-    return result

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from navfilter.foundation.constants import STANDARD_GRAVITY
 
@@ -34,6 +38,7 @@ UNITS: dict[str, Unit] = {
     "deg": Unit("angle", _DEG),
     "cdeg": Unit("angle", 1e-2 * _DEG),
     "degE7": Unit("angle", 1e-7 * _DEG),
+    "ddmm": Unit("angle", _DEG),
     "arcmin": Unit("angle", _DEG / 60.0),
     "arcsec": Unit("angle", _DEG / 3600.0),
     "rev": Unit("angle", 2.0 * math.pi),
@@ -83,6 +88,8 @@ ALIASES = {
     "counts": "1",
     "LSB": "1",
     "sec": "s",
+    "ddmm.mmmm": "ddmm",
+    "dddmm.mmmm": "ddmm",
     "radian": "rad",
     "radians": "rad",
     "degree": "deg",
@@ -132,6 +139,54 @@ def unit(name: str) -> Unit:
         known, also = ", ".join(k for k in UNITS if k), ", ".join(ALIASES)
         raise ValueError(f'unknown unit "{name}" (known: {known}; also: {also})')
     return UNITS[key]
+
+
+def angles(cells: Any, name: str) -> NDArray[np.float64]:
+    """Numbers of a column of angles in its unit, those of ``ddmm`` (degrees and minutes in one number) in degrees.
+
+    A letter for the half of the Earth gives the sign (``4530.2012N``, ``S 33 51.5``); minutes and seconds may follow
+    degrees. What is none of this, or has 60 minutes or more, is NaN.
+
+    Parameters
+    ----------
+    cells : array_like, shape (n,)
+        Numbers or texts.
+    name : str
+        The unit.
+
+    Examples
+    --------
+    >>> angles(np.array(["4530.0N", "01335.4W"], dtype=object), "ddmm").round(6).tolist()
+    [45.5, -13.59]
+    >>> angles(np.array(["12 30 36 S", "-12.51"], dtype=object), "deg").tolist()
+    [-12.51, -12.51]
+    """
+    import pandas as pd
+
+    cells = np.asarray(cells)
+    if cells.dtype.kind in "OUT":
+        parts = pd.Series(cells).astype(str).str.strip().str.extract(_ANGLE)
+        numbers = parts[["degrees", "minutes", "seconds"]].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+        letter = parts["before"].fillna(parts["after"]).str.upper()
+        rest = np.nan_to_num(numbers[:, 1]) / 60.0 + np.nan_to_num(numbers[:, 2]) / 3600.0
+        bad = (np.nan_to_num(numbers[:, 1:]) >= 60.0).any(axis=1) | (parts["before"].notna() & parts["after"].notna())
+        south = (letter.isin(["S", "W"]) != (parts["sign"] == "-")).to_numpy()
+        size = np.where(bad, np.nan, numbers[:, 0])
+    else:
+        numbers_only = cells.astype(np.float64)
+        size, south, rest = np.abs(numbers_only), np.signbit(numbers_only), 0.0
+    if unit(name) is UNITS["ddmm"]:
+        whole = np.floor(size / 100.0)
+        minutes = size - 100.0 * whole
+        size = np.where(minutes < 60.0, whole + minutes / 60.0, np.nan)
+    return np.asarray(np.where(south, -1.0, 1.0) * (size + rest))
+
+
+#: An angle as text: a letter, degrees, perhaps minutes and seconds, a letter.
+_ANGLE = (
+    r"^(?P<before>[NSEWnsew])?\s*(?P<sign>[-+])?(?P<degrees>\d+(?:\.\d*)?)[°d]?"
+    r"(?:[\s:]*(?P<minutes>\d+(?:\.\d*)?)['′m]?(?:[\s:]*(?P<seconds>\d+(?:\.\d*)?)[\"″s]?)?)?\s*(?P<after>[NSEWnsew])?$"
+)
 
 
 def parse_quantity(text: str) -> tuple[float, Unit]:

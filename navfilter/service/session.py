@@ -98,7 +98,7 @@ class Session:
     #: clock that was set back is found within a quarter of a second, one in doubt within one.
     STALLED_S, STALLED = 2.0, 20
     #: So is a state that readings are so far ahead of [s]; an inertial unit that is silent is stood in for by then.
-    BEHIND_S = Intake.SILENT_S + 1.0
+    BEHIND_S = ImuIntake.SILENT_S + 1.0
     #: A warning about one kind of bad line comes at most so often [s], or when there are ten times as many.
     WARN_EVERY_S = 60.0
     #: Readings that are kept for an alignment: of so many seconds, and never more than so many.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -75,13 +75,25 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None], allowance: 
             raise MissionError(f'{path}: topic "{name}" has no field "{absent[0]}" ({there}).')
         tally[f"cells of {name} are no numbers"] += topic_columns.unreadable
     notes = tuple(f"{path.name}: {count} {reason}" for reason, count in tally.items() if count)
+    notes += tuple(f"{path.name}: {words}" for words in _namesakes(answers, wanted))
     # What was dropped was dropped once, from the log: the first of its tables says so.
     tables = {}
     for name, part in gathered.items():
         units = wanted.units.get(next(iter(answers[name])), {})
-        tables[name] = Table(f"{path} {name}", part.columns(), notes, units)
+        tables[name] = Table(f"{path} {name}", part.columns(), notes, units, clock=wanted.clock)
         notes = ()
     return tables
+
+
+def _namesakes(answers: Mapping[str, Counter[str]], wanted: Wanted) -> Iterator[str]:
+    """Topics that nobody asked for and that say the same as one that was."""
+    taken = {topic for topics in answers.values() for topic in topics}
+    for topic in sorted(taken):
+        if others := [
+            other for other in wanted.seen if other not in taken and wanted.short(other) == wanted.short(topic)
+        ]:
+            both = f"*{wanted.short(topic)}"
+            yield f'{topic} is read, and {", ".join(others)} beside it is not; topic = "{both}" reads all of them'
 
 
 def files_of(path: Path) -> list[Path]:

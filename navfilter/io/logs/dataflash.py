@@ -45,6 +45,9 @@ _TYPES: dict[str, tuple[str, float]] = {
 _MANY = "a"
 #: Of GPS time and of 1970 [s], and the leap seconds that the logs are dated with (as pymavlink does).
 _GPS_EPOCH_S, _WEEK_S, _LEAP_S = 315964800.0, 604800.0, 18.0
+#: A receiver tells UTC from this status on (a fix in three dimensions): before it counts weeks from anywhere. No log
+#: with these stamps is older than the second, a week of January 2015.
+_FIX, _FIRST_WEEK = 3, 1825
 
 
 def _of_formats() -> Any:
@@ -200,10 +203,13 @@ def _time(log: _Log, form: Any, bodies: npt.NDArray[np.uint8]) -> None:
     columns = _columns(form, bodies)
     seconds = 1e-6 * columns["TimeUS"]
     log.begin_s = float(seconds[0]) if log.begin_s is None else log.begin_s
-    if form.name == "GPS" and {"GWk", "GMS"} <= columns.keys() and (known := columns["GWk"] > 0).any():
-        row = int(np.argmax(known))
-        gps_s = _GPS_EPOCH_S + _WEEK_S * columns["GWk"][row] + 1e-3 * columns["GMS"][row] - _LEAP_S
-        log.epoch_s = float(gps_s - seconds[row])
+    if form.name == "GPS" and {"GWk", "GMS"} <= columns.keys():
+        known = columns["GWk"] >= _FIRST_WEEK
+        if "Status" in columns:
+            known &= columns["Status"] >= _FIX
+        if known.any():
+            gps_s = _GPS_EPOCH_S + _WEEK_S * columns["GWk"][known] + 1e-3 * columns["GMS"][known] - _LEAP_S
+            log.epoch_s = float(np.median(gps_s - seconds[known]))
 
 
 # --- messages -------------------------------------------------------------------------------------------------------

@@ -14,9 +14,13 @@ from navfilter.foundation import utc
 from navfilter.foundation.quoting import one_line, toml_text
 from navfilter.io.logs.draft_streams import Drafted, chosen_streams, inertial, still
 from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
+from navfilter.io.logs.formats import format_of
+from navfilter.io.logs.guessed_columns import TABLE, survey_table
 from navfilter.io.logs.known_topics import READINGS, Use
-from navfilter.io.logs.survey import Survey, Topic
+from navfilter.io.logs.survey import Survey, Topic, survey
+from navfilter.io.logs.topic_names import INSTRUMENT
 from navfilter.io.mission_toml import read_mission_toml
+from navfilter.io.trust import UNPACKED_BYTES
 from navfilter.io.vehicle_toml import read_vehicle
 from navfilter.models.alignment import align
 from navfilter.models.mission import Mission, MissionError, Stream
@@ -24,7 +28,7 @@ from navfilter.models.sensors import Heading, Position
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Draft", "draft", "read_inertial"]
+__all__ = ["Draft", "draft", "is_table", "read_inertial", "survey_of"]
 
 GUESS = "# GUESSED: "
 #: An assumed place beside latitude and longitude zero, by less than a hair [rad].
@@ -72,12 +76,31 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     streams, dropped, mission = _readable(found, driving, correcting)
     begin = "".join(f"{line}\n" for line in dropped)
     readings = {stream.name: stream.reading for stream in streams}
-    vehicle_toml = vehicle_text(mission, readings, drive, like or usual_kind(found.format.module, drive))
+    topics = {stream.name: stream.topic for stream in streams}
+    vehicle_toml = vehicle_text(mission, readings, drive, like or usual_kind(found.format.module, drive), topics)
     begin += _start(_vehicle(vehicle_toml), mission)
     mission_toml = _mission_text(found, streams, _named(found.path, folder), begin)
     texts = (mission_toml + vehicle_toml).splitlines()
     guesses = tuple(dict.fromkeys(line.removeprefix(GUESS) for line in texts if line.startswith(GUESS)))
     return Draft(mission_toml, vehicle_toml, mission, guesses)
+
+
+def survey_of(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
+    """A log's survey, or that of a table, whose columns are guessed.
+
+    Raises
+    ------
+    MissionError
+        Where it is neither.
+    """
+    if path.is_file() and format_of(path) is None and is_table(path):
+        return survey_table(path, unpacked_bytes)
+    return survey(path, unpacked_bytes)
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is called as tables of text are, plain or compressed."""
+    return any(ending.lower() in TABLE.suffixes for ending in path.suffixes[-2:])
 
 
 def read_inertial(found: Survey, topic: Topic, use: Use) -> Mission:
@@ -143,6 +166,8 @@ def _epoch_utc_s(found: Survey) -> float | None:
         if topic.has("time_utc_usec"):
             told = topic.columns["time_utc_usec"]
             known = told > 1e15
+            if topic.has("fix_type"):
+                known &= topic.columns["fix_type"] >= 3
             if known.any():
                 return float(np.median(1e-6 * told[known] - topic.time_s[: told.size][known]))
     return None
@@ -156,29 +181,35 @@ def _named(path: Path, folder: Path) -> str:
 
 
 def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) -> str:
-    clock = _clock(streams)
+    clock = f'{{column = "{_clock(streams)}"}}'
     lines = [
-        f"# From {one_line(found.path.name)} ({found.format.title}).",
-        "# Lines that begin with GUESSED are to be looked at; the rest is what the log says. 'navfilter check' with",
-        "# this folder looks for the usual mistakes.",
+        f"# From {one_line(found.path.name)} ({found.format.title}). Lines that begin with GUESSED are to be looked",
+        "# at; the rest is what the file says. 'navfilter check' with this folder looks for the usual mistakes.",
         "",
         f"name = {toml_text(found.path.name.split('.')[0])}",
     ]
     if (epoch_s := _epoch_utc_s(found)) is not None:
         lines.append(f"date = {datetime.datetime.fromtimestamp(epoch_s + found.begin_s, datetime.UTC).date()}")
+    if found.clock == INSTRUMENT:
+        lines += [
+            f"{GUESS}the times are of the instrument's clock, which need not be UTC; where it is, leave epoch out"
+        ]
+        lines.append('epoch = "unknown"')
     if epoch_s:
         lines.append(f"epoch = {utc.date_text(0.0, epoch_s)}  # by the satellite receiver in the log")
+    lines += [f"{GUESS}{found.doubt}"] if found.doubt else []
     lines += ['zero_s = "first"', "", begin.rstrip("\n")] if begin else ['zero_s = "first"', ""]
     if begin:
         lines.append("")
     for stream in streams:
         said = READINGS.get(stream.reading, "no reading at all")
-        lines.append(
-            f"# {one_line(stream.topic.name)}: {said}; {stream.topic.count} records, {stream.topic.rate_hz:.3g} Hz."
-        )
+        named = one_line(stream.topic.name or found.path.name)
+        lines.append(f"# {named}: {said}; {stream.topic.count} records, {stream.topic.rate_hz:.3g} Hz.")
         lines += [f"{GUESS}{stream.guess}"] if stream.guess else []
-        lines += [f"[streams.{stream.name}]", f"file = {toml_text(file)}", f"topic = {toml_text(stream.topic.name)}"]
-        lines += [f'time = {{column = "{clock}"}}', *stream.lines]
+        lines += [f"[streams.{stream.name}]", f"file = {toml_text(file)}"]
+        lines += found.layout if found.time else [f"topic = {toml_text(stream.topic.name)}"]
+        lines += [f"time = {found.time or clock}", *stream.lines]
+        lines += ["stands_in = true"] if stream.stands_in else []
         lines += [f"where = {stream.where}"] if stream.where else []
         lines.append("")
     others = sorted({topic.name for topic in found.topics} - {stream.topic.name for stream in streams})
@@ -190,18 +221,31 @@ def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) 
 def _start(vehicle: Vehicle, mission: Mission) -> str:
     """A [start] where the mission's own readings give none; empty where they do."""
     reasons: list[str] = []
-    for assumed in ((), ("position",), ("position", "heading")):
+    for assumed in ((), ("heading",), ("position",), ("position", "heading")):
         try:
             start = align(*_assuming(vehicle, mission, assumed))
         except ValueError as error:
             reasons.append(_words(error).removeprefix("no start: ").split(". ")[0].split(" (")[0].rstrip("."))
             continue
         return _start_text(start, assumed, reasons) if assumed else ""
-    return _start_text(
-        Start(time_s=_first_s(vehicle, mission), latitude_deg=0.0, longitude_deg=0.0, tilt_sd_deg=5.0),
-        ("position", "heading", "level"),
-        reasons,
+    fix = first_fix(mission)
+    time_s, latitude, longitude = fix or (_first_s(vehicle, mission), 0.0, 0.0)
+    start = Start(time_s=time_s, latitude_deg=latitude, longitude_deg=longitude, tilt_sd_deg=5.0)
+    return _start_text(start, ("heading", "level") if fix else ("position", "heading", "level"), reasons)
+
+
+def first_fix(mission: Mission) -> tuple[float, float, float] | None:
+    """Time, latitude and longitude [deg] of the first fix of the stream ``gps``; None where there is none."""
+    gps = mission.streams.get("gps")
+    good = (
+        np.array([])
+        if gps is None
+        else np.flatnonzero(np.isfinite(gps.value[:, :2]).all(axis=1) & gps.value[:, 0].astype(bool))
     )
+    if gps is None or not good.size:
+        return None
+    latitude, longitude = np.degrees(gps.value[good[0], :2])
+    return float(gps.time_s[good[0]]), float(latitude), float(longitude)
 
 
 def _assuming(vehicle: Vehicle, mission: Mission, what: tuple[str, ...]) -> tuple[Vehicle, Mission]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,16 +15,23 @@ from navfilter.models.mission import MissionError
 
 __all__ = ["Drafted", "chosen_streams", "inertial", "still"]
 
-#: A slower inertial unit cannot carry the state between its samples [Hz].
-_SLOWEST_IMU_HZ = 20.0
+#: A slower inertial unit hardly carries the state between its samples [Hz]; one slower than the second is none.
+_SLOWEST_IMU_HZ, _NO_IMU_HZ = 20.0, 5.0
 _CORRECTING = (
-    ("compass", ("heading", "magnetic", "field")),
-    ("dvl", ("velocity",)),
+    ("compass", ("heading", "magnetic", "field", "heading-of-log", "magnetic-of-log")),
+    ("dvl", ("velocity", "beams")),
     ("odometry", ("odometry",)),
-    ("depth", ("depth", "pressure")),
+    ("depth", ("depth", "pressure", "gauge-pressure")),
     ("gps", ("position",)),
 )
-_ATTITUDES = ("attitude", "heading", "magnetic", "course")
+_ATTITUDES = (
+    "attitude|magnetic-attitude",
+    "heading",
+    "magnetic",
+    "heading-of-log",
+    "magnetic-of-log",
+    "course",
+)
 _VELOCITIES = ("velocity", "odometry", "water", "speed")
 #: What fixes say of heading and speed means nothing below this speed [kn].
 _FROM_FIXES, _SLOWEST_KN = ("course", "speed"), 1.0
@@ -30,7 +39,9 @@ _FROM_FIXES, _SLOWEST_KN = ("course", "speed"), 1.0
 _HELD = 0.5
 _FLU = ', axes = "x,-y,-z"'
 #: Without any of these an inertial unit drifts away within a minute.
-_AIDS = ("velocity", "odometry", "position")
+_AIDS = ("velocity", "beams", "odometry", "position")
+#: Formats in which each fix has its own time: one that is the same in the same place is new.
+_OWN_TIMES = ("nmea",)
 
 
 @dataclass(frozen=True)
@@ -47,6 +58,8 @@ class Drafted:
         Groups of columns.
     where, guess : str
         Condition on the rows; what is not known for certain. Empty: none.
+    stands_in : bool
+        Whether what it gives was not measured.
     """
 
     name: str
@@ -55,6 +68,7 @@ class Drafted:
     lines: tuple[str, ...]
     where: str = ""
     guess: str = ""
+    stands_in: bool = False
 
 
 def chosen_streams(found: Survey, like: str = "") -> tuple[list[Drafted], list[Drafted], str]:
@@ -73,15 +87,20 @@ def chosen_streams(found: Survey, like: str = "") -> tuple[list[Drafted], list[D
     """
     uses = [(topic, use) for topic, use in uses_of(found) if use.reading not in _FROM_FIXES or _is_under_way(topic)]
     driving, drive = _driving(found, uses, like)
-    return driving, _correcting(uses, drive), drive
+    return driving, _correcting(found, uses, drive), drive
 
 
 def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[list[Drafted], str]:
-    imu = [(topic, use) for topic, use in uses if use.reading == "imu" and topic.rate_hz >= _SLOWEST_IMU_HZ]
     attitude = _first(uses, _ATTITUDES)
+    slowest = _NO_IMU_HZ if attitude is None else _SLOWEST_IMU_HZ
+    imu = [(topic, use) for topic, use in uses if use.reading == "imu" and topic.rate_hz >= slowest]
     aided = _first(uses, _AIDS) is not None or attitude is None
     if imu and aided and (not like or LIKE[like].drive == "imu"):
-        return [inertial(*imu[0])], "imu"
+        unit = inertial(*imu[0])
+        if imu[0][0].rate_hz < _SLOWEST_IMU_HZ:
+            words = f"an inertial unit of {imu[0][0].rate_hz:.3g} Hz, slow for one: nothing else in this log can drive"
+            unit = replace(unit, guess="; ".join(filter(None, [unit.guess, words])))
+        return [unit], "imu"
     fixes = _first(uses, ("position",))
     if attitude is None and fixes is not None:
         north = _north(*fixes)
@@ -89,12 +108,15 @@ def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[l
     if attitude is None:
         known = ", ".join(f"{topic.name} ({READINGS[use.reading]})" for topic, use in uses) or "none of a known kind"
         raise MissionError(
-            f"{found.path}: nothing in this log can drive; it takes turn rates with forces at {_SLOWEST_IMU_HZ:g} Hz or"
+            f"{found.path}: nothing in this log can drive; it takes turn rates with forces at {_NO_IMU_HZ:g} Hz or"
             f" more, a heading, or fixes. Known topics: {known}. Map it by hand (docs/pages/logs.md)."
         )
     level = _as_attitude(_stream("attitude", *attitude))
+    level = replace(level, stands_in=attitude[1].reading == "course")
     velocity = _first(uses, _VELOCITIES)
-    return [level, still(level) if velocity is None else _stream("velocity", *velocity)], "dead-reckoning"
+    if velocity is None:
+        return [level, still(level, _first(uses, ("beams",)) is not None)], "dead-reckoning"
+    return [level, replace(_stream("velocity", *velocity), stands_in=velocity[1].reading == "speed")], "dead-reckoning"
 
 
 def inertial(topic: Topic, use: Use) -> Drafted:
@@ -115,33 +137,43 @@ def _is_under_way(topic: Topic) -> bool:
     return topic.has("spd") and float(np.nanmedian(topic.columns["spd"].astype(float))) >= _SLOWEST_KN
 
 
+def _zeros(group: str) -> str:
+    """A group of zeros at the times of all records."""
+    return f"{group} = {{columns = [{{constant = 0.0}}, {{constant = 0.0}}, {{constant = 0.0}}]}}"
+
+
 def _north(topic: Topic, use: Use) -> Drafted:
     """Level and heading north at the times of the fixes, for a log that has nothing else."""
-    line = (
-        'attitude = {columns = [{column = "log_time", scale = 0.0}, {constant = 0.0}, {constant = 0.0}], unit = "rad"}'
-    )
-    return Drafted(
-        "attitude", "none", topic, (line,), use.where, "there is no heading in this log: level, heading north"
-    )
+    line = _zeros("attitude")
+    words = "there is no heading in this log: level, heading north"
+    return Drafted("attitude", "none", topic, (line,), use.where, words, stands_in=True)
 
 
-def still(attitude: Drafted) -> Drafted:
+def still(attitude: Drafted, beams: bool = False) -> Drafted:
     """A velocity of zero at the times of all records with the attitude, also of those that lack it, for a log without
-    any.
+    any, or with one that has to correct because it is given along its beams.
     """
-    line = (
-        'velocity = {columns = [{column = "log_time", scale = 0.0}, {constant = 0.0}, {constant = 0.0}], unit = "m/s"}'
-    )
+    line = _zeros("velocity")
     words = (
         "there is no velocity in this log: the vehicle is taken to stand still, give or take the error in vehicle.toml"
     )
-    return Drafted("velocity", "none", attitude.topic, (line,), "", words)
+    if beams:
+        words = "nobody knows the velocity between the readings of the beams, which correct it: zero, give or take"
+    return Drafted("velocity", "none", attitude.topic, (line,), "", words, stands_in=not beams)
 
 
-def _correcting(uses: list[tuple[Topic, Use]], drive: str) -> list[Drafted]:
-    wanted = [(name, readings) for name, readings in _CORRECTING if drive == "imu" or name in ("depth", "gps")]
+def _correcting(found: Survey, uses: list[tuple[Topic, Use]], drive: str) -> list[Drafted]:
+    beside = {"depth": None, "gps": None, "dvl": ("beams",)}
+    wanted = [
+        (name, readings if drive == "imu" else beside[name] or readings)
+        for name, readings in _CORRECTING
+        if drive == "imu" or name in beside
+    ]
+    if drive != "imu" and _first(uses, _VELOCITIES) is not None:
+        wanted = [(name, readings) for name, readings in wanted if name != "dvl"]
     chosen = [(name, _first(uses, readings)) for name, readings in wanted]
-    return [_fresh(_stream(name, *use)) for name, use in chosen if use is not None]
+    streams = [_stream(name, *use) for name, use in chosen if use is not None]
+    return streams if found.format.module in _OWN_TIMES else [_fresh(stream) for stream in streams]
 
 
 def _fresh(stream: Drafted) -> Drafted:
@@ -158,7 +190,7 @@ def _fresh(stream: Drafted) -> Drafted:
 
 
 def _first(uses: list[tuple[Topic, Use]], readings: tuple[str, ...]) -> tuple[Topic, Use] | None:
-    return next((pair for reading in readings for pair in uses if pair[1].reading == reading), None)
+    return next((pair for reading in readings for pair in uses if pair[1].reading in reading.split("|")), None)
 
 
 def _stream(name: str, topic: Topic, use: Use) -> Drafted:
@@ -167,10 +199,10 @@ def _stream(name: str, topic: Topic, use: Use) -> Drafted:
 
 def _as_attitude(stream: Drafted) -> Drafted:
     """A heading alone as roll, pitch and heading, level."""
-    line = stream.lines[0]
-    if not line.startswith("heading"):
+    heading = tomllib.loads(stream.lines[0]).get("heading")
+    if heading is None:
         return stream
-    column = line.split('column = "', 1)[1].split('"', 1)[0]
-    lines = (f'attitude = {{columns = [{{constant = 0.0}}, {{constant = 0.0}}, "{column}"], unit = "deg"}}',)
+    column = f"{{constant = 0.0}}, {{constant = 0.0}}, {json.dumps(heading['column'])}"
+    lines = (f'attitude = {{columns = [{column}], unit = "{heading["unit"]}"}}',)
     words = "; ".join(filter(None, [stream.guess, "level: there is no roll and pitch in this log"]))
     return replace(stream, lines=lines, guess=words)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from navfilter.io.logs.survey import Topic
 from navfilter.models.mission import Mission, Stream
 
 __all__ = ["LIKE", "Like", "usual_kind", "vehicle_text"]
@@ -104,17 +105,30 @@ LIKE = {
 }
 #: Wheels slip, cameras lose their scale.
 _ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", sd = 0.1}]'
+#: Of the angle between a beam and the vertical, at least.
+_SINE = 0.25
+#: A vessel has its antenna above the sea; heights of fixes and of dead reckoning say less.
+_AFLOAT = [
+    f"{GUESS}a vessel afloat, its antenna so far above the sea [m]; of others leave it out",
+    "antenna_height_m = 2.0",
+]
 #: How far off a speed is that nobody measured.
 _UNKNOWN_SPEED = '{model = "gauss-markov", sd = 0.5, tau_s = 120}'
 
 
 def usual_kind(module: str, drive: str) -> str:
     """Key of `LIKE` for a format of logs and the type of the drive."""
-    usual = {"ardupilot": "bluerov2", "waterlinked": "bluerov2", "slocum": "glider", "nmea": "yacht"}
+    usual = {
+        "ardupilot": "bluerov2",
+        "waterlinked": "bluerov2",
+        "slocum": "glider",
+        "nmea": "yacht",
+        "expedition": "yacht",
+    }
     return usual.get(module, "bluerov2" if drive == "imu" else "yacht")
 
 
-def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: str) -> str:
+def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: str, topics: dict[str, Topic]) -> str:
     """The vehicle.toml for a drafted mission.
 
     Parameters
@@ -126,8 +140,12 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
         ``"imu"`` or ``"dead-reckoning"``.
     like : str
         Key of `LIKE`.
+    topics : dict of str to Topic
+        Stream -> what it is read from.
     """
     kind = LIKE[like]
+    # without a depth gauge nothing but the sea keeps dead reckoning at its surface
+    afloat = drive != "imu" and "depth" not in readings
     lines = [
         "# What is on board, and how it errs. Rates are those of the log; 'navfilter vehicle --check' says it in",
         "# words, and 'navfilter vehicle --init' lists every key that there is.",
@@ -139,7 +157,8 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
     lines += _drive(mission, readings, drive, kind)
     for name in ("compass", "dvl", "odometry", "depth", "gps"):
         if name in readings:
-            lines += [f"[sensors.{name}]", *_sensor(name, readings[name], kind, mission), ""]
+            own = _sensor(name, readings[name], kind, mission, topics[name], afloat)
+            lines += [f"[sensors.{name}]", *own, ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -163,7 +182,11 @@ def _drive(mission: Mission, readings: dict[str, str], drive: str, kind: Like) -
             *_north(mission, readings["attitude"]),
             "",
         ]
-        speeds = {"none": _UNKNOWN_SPEED, "water": kind.water, "odometry": _ODOMETRY}
+        unknown = _UNKNOWN_SPEED
+        if "dvl" in readings:
+            typical = float(np.nanmax(np.abs(mission.streams["dvl"].value), initial=0.1)) / _SINE
+            unknown = f'{{model = "gauss-markov", sd = {max(typical, 0.5):.2g}, tau_s = 20}}'
+        speeds = {"none": unknown, "water": kind.water, "odometry": _ODOMETRY}
         error = speeds.get(readings["velocity"], kind.velocity)
         lines += ["[drive.velocity]", 'type = "body-velocity"', f"error = {error}", "zero_is_invalid = false", ""]
     return lines
@@ -184,7 +207,7 @@ def _inertial(stream: Stream, kind: Like) -> list[str]:
     ]
 
 
-def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
+def _sensor(name: str, reading: str, kind: Like, mission: Mission, topic: Topic, afloat: bool) -> list[str]:
     rate = _rate(mission.streams[name])
     if name == "compass":
         iron = f"{GUESS}the magnetometer needs no calibration; else set hard_iron and soft_iron"
@@ -192,21 +215,26 @@ def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
         return ['type = "heading"', rate, f"error = {kind.heading}", *field, *_north(mission, reading)]
     if name == "odometry":
         return ['type = "body-velocity"', rate, f"error = {_ODOMETRY}", "zero_is_invalid = false"]
+    if name == "dvl" and reading == "beams":
+        return ['type = "dvl-beams"', rate, f"error = {kind.velocity}", *_geometry(topic)]
     if name == "dvl":
         return ['type = "body-velocity"', rate, f"error = {kind.velocity}"]
     if name == "depth":
-        pressure = (
-            ["pressure = true                       # absolute, from the surface's 101325 Pa"]
-            if reading == "pressure"
-            else []
-        )
+        by_pressure = reading in ("pressure", "gauge-pressure")
+        pressure = ["pressure = true                       # absolute, from the surface's 101325 Pa"] * by_pressure
         return ['type = "depth"', rate, f"error = {kind.depth}", *pressure]
-    return ['type = "position"', rate, f"error = {kind.position}"]
+    return ['type = "position"', rate, f"error = {kind.position}", *(_AFLOAT if afloat else [])]
+
+
+def _geometry(topic: Topic) -> list[str]:
+    """Where the beams of a Teledyne instrument look: 1 to port, 2 to starboard, 3 forward, 4 aft."""
+    tilt = float(np.nanmedian(topic.columns["beam_tilt"]))
+    return ["beam_azimuth_deg = [270.0, 90.0, 0.0, 180.0]", f"beam_tilt_deg = {tilt:g}", "zero_is_invalid = false"]
 
 
 def _north(mission: Mission, reading: str) -> list[str]:
     """Which north a heading counts from."""
-    if reading == "magnetic" or reading == "field":
+    if reading.startswith("magnetic") or reading == "field":
         known = mission.date is not None and 2010 <= mission.date.year < 2030 and "gps" in mission.streams
         magnetic = [] if reading == "field" else ["magnetic = true"]
         if known:

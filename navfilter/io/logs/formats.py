@@ -56,6 +56,7 @@ FORMATS: tuple[Format, ...] = (
     Format("an ArduPilot log", "ardupilot", (".bin", ".tlog"), "pymavlink", "ardupilot"),
     Format("a Nortek log", "nortek", (".ad2cp",)),
     Format("a Slocum glider's table", "slocum", (), pattern=rb"\Adbd_label:"),
+    Format("an Expedition log", "expedition", (), pattern=rb"\A!Boat,Utc,"),
     Format("a Water Linked log", "waterlinked", (), pattern=rb'"format": ?"json_v'),
     Format("a PX4 log", "ulog", (".ulg",), "pyulog", "px4"),
     Format("a MOOS log", "moos", (".alog",)),

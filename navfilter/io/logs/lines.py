@@ -19,12 +19,14 @@ __all__ = ["first_bytes", "lines"]
 
 _OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
 _BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
-#: A longer "line" is no line of text.
-_LONGEST = 1 << 16
+#: Read at a time; a longer "line" than the second is no line of text.
+_BLOCK, _LONGEST = 1 << 18, 1 << 16
 
 
 def lines(path: Path, tally: Counter[str], allowance: Allowance) -> Iterator[bytes]:
-    """All lines, without their ends; a compressed file that is cut short gives what it holds, and is counted.
+    """All lines, without their ends (LF, CR LF or CR).
+
+    A compressed file that is cut short gives what it holds, and is counted.
 
     Raises
     ------
@@ -34,19 +36,26 @@ def lines(path: Path, tally: Counter[str], allowance: Allowance) -> Iterator[byt
     with path.open("rb") as raw, byte_bar(path, path.stat().st_size) as bar:
         opener = _OPENERS.get(path.suffix.lower())
         file = raw if opener is None else opener(raw, "rb")
-        done = told = 0
+        rest, told = b"", 0
         try:
-            while line := file.readline(_LONGEST):
+            while block := file.read1(_BLOCK):
                 if file is not raw:
-                    _take(path, allowance, len(line))
-                yield line.rstrip(b"\r\n")
-                done += 1
-                if done % 4096 == 0:
-                    at = raw.tell()
-                    bar.update(at - told)
-                    told = at
+                    _take(path, allowance, len(block))
+                *whole, rest = (rest + block).splitlines(keepends=True)
+                if rest.endswith(b"\n"):
+                    whole, rest = [*whole, rest], b""
+                for line in whole:
+                    yield line.rstrip(b"\r\n")
+                if len(rest) > _LONGEST:
+                    yield rest.rstrip(b"\r\n")
+                    rest = b""
+                at = raw.tell()
+                bar.update(at - told)
+                told = at
         except _BROKEN:
             tally["place where the file is damaged or cut short, nothing read behind it"] += 1
+        if rest:
+            yield rest.rstrip(b"\r\n")
 
 
 def _take(path: Path, allowance: Allowance, size: int) -> None:

@@ -1,9 +1,10 @@
 """NMEA 0183, read with pynmeagps: any logger's prefix, checksums counted, each talker a topic, the date carried.
 
 A topic is talker and sentence (``GPGGA``; ``GGA`` is enough where only one talker says it). ``log_time`` is UTC: of the
-sentence where it has a time, with the date of the last RMC or ZDA; else that of the last sentence that had one. Where a
-sentence comes several times between two times they are spread evenly; where the logger put a time before each line, its
-differences are used, and where no sentence has a time, it alone.
+sentence where it has a time, with the date of the last RMC or ZDA; else that of the last sentence that had one. What a
+receiver says of the time before it has a fix counts only where the fix goes on with it. Where a sentence comes several
+times between two times they are spread evenly; where the logger put a time before each line, its differences are used,
+and where no sentence has a time to be believed, it alone.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ from collections.abc import Iterator
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pynmeagps import NMEAReader
 from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError
 
 from navfilter.io.logs.lines import lines
+from navfilter.io.logs.logger_stamps import LoggerClock
 from navfilter.io.logs.sentence_times import Carrier
-from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.logs.topic_names import OF_DAY, Wanted
 from navfilter.io.trust import Allowance
 
 __all__ = ["records", "short_name"]
@@ -30,12 +32,8 @@ __all__ = ["records", "short_name"]
 SENTENCE = re.compile(rb"[$!]((P[A-Z]{3}[A-Z0-9]*|[A-Z]{2}[A-Z0-9]{3}),[^*$!]*)(?:\*([0-9A-Fa-f]{2}))?")
 #: Where a sentence has its time of day (hhmmss.s), counted from its name.
 _TIMES = {b"GGA": 1, b"RMC": 1, b"ZDA": 1, b"GNS": 1, b"GLL": 5, b"GST": 1, b"GRS": 1, b"PASHR": 1}
-#: Dates and times that loggers put before a line.
-_STAMPS = (
-    (re.compile(rb"(\d{4})-(\d\d)-(\d\d)[ T_](\d\d):(\d\d):(\d\d(?:[.,]\d+)?)"), "date"),
-    (re.compile(rb"^\D{0,2}(\d{9,10}\.\d+)"), "epoch"),
-    (re.compile(rb"(?:^|\D)(\d\d):(\d\d):(\d\d[.,]\d+)"), "day"),
-)
+#: A receiver's clock before its first fix is right where that fix comes within this after it [s].
+_GOES_ON_S = 60.0
 #: Fields of sentences that the library does not know, by their makers' manuals (names as there).
 _BOTTOM_TRACK = ("time", "dt1", "dt2", "vx", "vy", "vz", "fom", "d1", "d2", "d3", "d4")
 _DELTAS = ("time_us", "dt_us", "roll", "pitch", "yaw", "x", "y", "z", "confidence")
@@ -55,32 +53,40 @@ def short_name(topic: str) -> str:
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
-    date, has_times = _first_date(path, wanted.allowance)
-    carrier = Carrier(date, tally)
+    clock = _look_ahead(path, wanted.allowance)
+    carrier, logger = Carrier(clock.date, tally), LoggerClock()
+    # a receiver that never had a fix is worth less than the clock of the logger
+    fixed, by_logger = not clock.cold, clock.fixes == 0 and clock.cold
     for line in lines(path, tally, wanted.allowance):
-        found = SENTENCE.search(line)
-        if found is None:
-            tally["lines without a sentence"] += bool(line.strip())
-            continue
-        if not _is_sound(found, tally):
-            continue
-        name = found[2]
-        fields = found[1].split(b",")
-        topic = name.decode("ascii")
-        time_of_day, date = _time_of_day(fields), _date(fields)
-        received = _received(line[: found.start()])
-        if time_of_day is not None:
-            time_s = carrier.heard(time_of_day, date, received)
-            yield from carrier.settled()
-            if wanted(topic) and (record := _record(topic, found, tally)) is not None:
-                yield topic, time_s, record
-        elif wanted(topic) and (record := _record(topic, found, tally)) is not None:
-            if received is not None and not has_times:
-                yield topic, received, record
+        received, told = None, 0
+        for found in SENTENCE.finditer(line):
+            told += 1
+            received = logger(line[: found.start()]) if told == 1 else received
+            if not _is_sound(found, tally):
                 continue
-            carrier.wait(topic, record, received)
-            yield from carrier.settled()
+            fields = found[1].split(b",")
+            topic = _topic(fields)
+            time_of_day, date = _time_of_day(fields), _date(fields)
+            fixed = fixed or _has_fix(fields) is True
+            if received is not None and (by_logger or not clock.has_times):
+                if wanted(topic) and (record := _record(topic, found, tally)) is not None:
+                    yield topic, received, record
+            elif not fixed:
+                tally["sentences before the receiver's first fix left out: it did not know the time"] += wanted(topic)
+            elif time_of_day is not None:
+                time_s = carrier.heard(
+                    time_of_day, date if clock.fixes == 0 or _has_fix(fields) is not False else None, received
+                )
+                yield from carrier.settled()
+                if wanted(topic) and (record := _record(topic, found, tally)) is not None:
+                    yield topic, time_s, record
+            elif wanted(topic) and (record := _record(topic, found, tally)) is not None:
+                carrier.wait(topic, record, received)
+                yield from carrier.settled()
+        tally["lines without a sentence"] += not told and bool(line.strip())
     yield from carrier.rest()
+    if not carrier.dated if carrier.has_begun else logger.of_day:
+        wanted.clock = OF_DAY
 
 
 def _is_sound(found: re.Match[bytes], tally: Counter[str]) -> bool:
@@ -93,9 +99,17 @@ def _is_sound(found: re.Match[bytes], tally: Counter[str]) -> bool:
     return True
 
 
+def _topic(fields: list[bytes]) -> str:
+    """Talker and sentence; Trimble's own sentences have their names in the second field."""
+    second = fields[1] if fields[0] == b"PTNL" and len(fields) > 1 else b""
+    return (fields[0] + second).decode("ascii", "replace")
+
+
 def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str, Any] | None:
     if topic.startswith(("PNORBT", "DVPD")):
         return _own_record(topic, found[1].decode("ascii", "replace").split(",")[1:])
+    if short_name(topic) == "XDR":
+        return _transducers(found[1].decode("ascii", "replace").split(",")[1:])
     try:
         message = NMEAReader.parse(found[0] + b"\r\n", msgmode=0, validate=0)
     except (NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError, ValueError, KeyError, IndexError):
@@ -103,11 +117,27 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
     if message is None:  # of a sentence that it does not know
         tally[f"{topic} cannot be read"] += 1
         return None
-    if short_name(topic) == "XDR":
-        return _transducers(vars(message))
     # Times and dates are no columns: `log_time` holds both.
     own = {key: value for key, value in vars(message).items() if isinstance(value, str | int | float)}
-    return {key: None if value == "" else value for key, value in own.items() if not key.startswith("_")}
+    record = {key: None if value == "" else value for key, value in own.items() if not key.startswith("_")}
+    if short_name(topic) == "HDG":
+        record |= _corrected(topic, record, tally)
+    if topic == "PTNLGGK":
+        record["height"] = _number(str(record.get("height")).removeprefix("EHT"))
+    return record
+
+
+def _corrected(topic: str, record: dict[str, Any], tally: Counter[str]) -> dict[str, Any]:
+    """Headings of a compass (``headingM``) with its deviation, and with the variation too."""
+    deviation, variation = (
+        None if record[key] is None else float(record[key]) * (-1.0 if record[f"{key}EW"] == "W" else 1.0)
+        for key in ("deviation", "variation")
+    )
+    if record["headingM"] is None:
+        return {"heading_magnetic": None, "heading_true": None}
+    magnetic = (float(record["headingM"]) + (deviation or 0.0)) % 360.0
+    tally[f"{topic} have a deviation: it is not in headingM, heading_magnetic has it"] += bool(deviation)
+    return {"heading_magnetic": magnetic, "heading_true": None if variation is None else (magnetic + variation) % 360.0}
 
 
 def _own_record(topic: str, cells: list[str]) -> dict[str, Any]:
@@ -130,14 +160,19 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _transducers(fields: dict[str, Any]) -> dict[str, Any]:
-    """Of a sentence of several transducers: name of each -> its reading."""
+def _transducers(cells: list[str]) -> dict[str, Any]:
+    """Of a sentence of several transducers: name of each -> its reading. Each has four fields: its kind, a number or
+    nothing, a unit, a name; what stands between them is none.
+    """
     record: dict[str, Any] = {}
-    for key, value in fields.items():
-        if key.startswith("data_"):
-            number = key.removeprefix("data_")
-            name = fields.get(f"tdrid_{number}") or f"{fields.get(f'tdrtype_{number}')}{number}"
-            record[str(name).replace(".", "_")] = None if value == "" else value
+    k = 0
+    while k + 3 < len(cells):
+        kind, value, unit, name = cells[k : k + 4]
+        if len(kind) == 1 and len(unit) <= 1 and (not value or _number(value) is not None) and len(name) != 1:
+            record[(name or f"{kind}{1 + k // 4:02d}").replace(".", "_")] = _number(value)
+            k += 4
+        else:
+            k += 1
     return record
 
 
@@ -147,12 +182,15 @@ def _transducers(fields: dict[str, Any]) -> dict[str, Any]:
 def _time_of_day(fields: list[bytes]) -> float | None:
     place = _TIMES.get(fields[0] if fields[0].startswith(b"P") else fields[0][2:])
     if place is None:
+        if fields[0] == b"PTNL" and len(fields) > 2 and fields[1] in (b"GGK", b"VGK", b"VHD"):
+            return _hhmmss(fields[2])
         if fields[0] in (b"PNORBT6", b"PNORBT7", b"PNORBT8", b"PNORBT9") and len(fields) > 1:
             return _number(fields[1].rpartition(b"=")[2].decode("ascii", "replace"))
         return None
-    if len(fields) <= place:
-        return None
-    text = fields[place]
+    return _hhmmss(fields[place]) if len(fields) > place else None
+
+
+def _hhmmss(text: bytes) -> float | None:
     if len(text) < 6 or not text[:6].isdigit():
         return None
     try:
@@ -160,6 +198,19 @@ def _time_of_day(fields: list[bytes]) -> float | None:
     except ValueError:
         return None
     return 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + seconds
+
+
+def _has_fix(fields: list[bytes]) -> bool | None:
+    """Whether the receiver says that it has a fix; None where the sentence does not say."""
+    kind = fields[0][2:]
+    if kind in (b"RMC", b"GLL"):
+        place = 2 if kind == b"RMC" else 6
+        return fields[place] == b"A" if len(fields) > place else None
+    if kind == b"GGA" and len(fields) > 6:
+        return fields[6] not in (b"", b"0")
+    if fields[0] == b"PTNL" and len(fields) > 8 and fields[1] == b"GGK":
+        return fields[8] not in (b"", b"0")
+    return None
 
 
 def _date(fields: list[bytes]) -> datetime.date | None:
@@ -170,38 +221,54 @@ def _date(fields: list[bytes]) -> datetime.date | None:
             return datetime.date(year + (2000 if year < 80 else 1900), month, day)
         if kind == b"ZDA" and len(fields) > 4 and fields[4]:
             return datetime.date(int(fields[4]), int(fields[3]), int(fields[2]))
+        if fields[0] == b"PTNL" and len(fields) > 3 and fields[1] == b"GGK" and len(fields[3]) == 6:
+            return datetime.date(2000 + int(fields[3][4:]), int(fields[3][:2]), int(fields[3][2:4]))
     except ValueError:
         return None
     return None
 
 
-def _first_date(path: Path, allowance: Allowance) -> tuple[datetime.date | None, bool]:
-    """The date that the first RMC or ZDA gives, for the sentences before it; whether any sentence has a time."""
-    has_times = False
+class _Ahead(NamedTuple):
+    """What is known of a file's times before it is read.
+
+    Attributes
+    ----------
+    date : datetime.date or None
+        Of the first RMC or ZDA that is to be believed, for the sentences before it.
+    has_times : bool
+        Whether any sentence has a time.
+    fixes : int
+        How many sentences up to that date say that there is a fix; 0: none does in the whole file.
+    cold : bool
+        Whether sentences before the first fix have a time that does not go on with it.
+    """
+
+    date: datetime.date | None
+    has_times: bool
+    fixes: int
+    cold: bool
+
+
+def _look_ahead(path: Path, allowance: Allowance) -> _Ahead:
+    """The first date to be believed; what a receiver says without a fix is so only where nothing better comes."""
+    has_times, fixes, without = False, 0, False
+    doubtful: datetime.date | None = None
+    last_s: float | None = None
+    cold = False
     for line in lines(path, Counter(), Allowance(allowance.left)):
-        found = SENTENCE.search(line)
-        if found is None or not _is_sound(found, Counter()):
-            continue
-        fields = found[1].split(b",")
-        has_times = has_times or _time_of_day(fields) is not None
-        if date := _date(fields):
-            return date, has_times
-    return None, has_times
-
-
-def _received(prefix: bytes) -> float | None:
-    """Seconds on the clock of the logger, by what it put before the sentence; None where that is no time."""
-    for pattern, kind in _STAMPS if prefix else ():
-        if found := pattern.search(prefix):
-            if kind == "epoch":
-                return float(found[1])
-            clock = found.groups()[-3:]
-            seconds = 3600.0 * int(clock[0]) + 60.0 * int(clock[1]) + float(clock[2].replace(b",", b"."))
-            if kind == "date":
-                year, month, day = (int(part) for part in found.groups()[:3])
-                try:
-                    return seconds + 86400.0 * (datetime.date(year, month, day).toordinal() - 719163)
-                except ValueError:
-                    return None
-            return seconds
-    return None
+        for found in SENTENCE.finditer(line):
+            if not _is_sound(found, Counter()):
+                continue
+            fields = found[1].split(b",")
+            time_of_day, date, fix = _time_of_day(fields), _date(fields), _has_fix(fields)
+            has_times = has_times or time_of_day is not None
+            without = without or fix is False
+            if fix and not fixes and last_s is not None and time_of_day is not None:
+                cold = not 0.0 <= (time_of_day - last_s) % 86400.0 <= _GOES_ON_S
+            fixes += fix is True
+            if date is not None and (fix or (fix is None and (fixes or not without))):
+                return _Ahead(date, has_times, fixes, cold)
+            if fix is False and not fixes and time_of_day is not None:
+                last_s = time_of_day
+                doubtful = doubtful or date
+    return _Ahead(None if fixes else doubtful, has_times, fixes, cold or (not fixes and without))

@@ -5,8 +5,8 @@ Source: Nortek, "Signature Integrator's Guide", N3015-007, 2022, chapter 6 (data
 
 ``bottom_track``: ``velocity[0]`` ... [m/s], ``distance[0]`` ... [m], ``fom[0]`` ..., ``frame`` (0 east-north-up, 1
 instrument XYZ, 2 beams); where the figure of merit marks a beam as bad (65535), or the velocity itself is -32.768, it
-is NaN. ``sensors``: heading, pitch, roll, pressure, temperature, speed of sound. ``log_time`` is the instrument's
-clock, as UTC.
+is NaN. ``sensors``: heading, pitch, roll, pressure (above that of the air), temperature, speed of sound. ``log_time``
+is the instrument's clock, which need not be UTC.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.io.logs.progress import byte_bar
-from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
 __all__ = ["records"]
 
@@ -42,6 +42,7 @@ _BAD_FOM = 65535
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
+    wanted.clock = INSTRUMENT
     for kind, data in _records(path, tally):
         if kind not in (_BURST, _AVERAGE, _BOTTOM_TRACK) or len(data) < 78:
             continue

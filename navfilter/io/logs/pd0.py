@@ -6,21 +6,28 @@ all bytes). Source: Teledyne RD Instruments, "Workhorse Commands and Output Data
 
 Velocities are the instrument's: those of the bottom, or the water, relative to it, in m/s, in the frame that the field
 ``frame`` gives (0 beam, 1 instrument, 2 ship, 3 earth); what the instrument marks as bad (-32768) is NaN. Over ground
-and in forward, right, down the ship frame reads ``axes = "-y,-x,z"``. ``log_time`` is the instrument's clock, taken as
-UTC.
+and in forward, right, down the ship frame reads ``axes = "-y,-x,z"``; of the earth frame ``forward``, ``right`` and
+``down`` are that already. In the beam frame each velocity is that along a beam, positive towards the bottom; beams 1 to
+4 look to port, starboard, forward and aft where beam 3 looks forward, ``beam_tilt`` [deg] from the vertical.
+
+``log_time`` is UTC where a receiver's sentences (``gga``, ``vtg``, ``hdt``) or navigation blocks in the file tell it,
+else the instrument's clock, which need not be.
 """
 
 from __future__ import annotations
 
 import datetime
+import math
+import statistics
 import struct
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from navfilter.io.logs.pd0_nmea import sentences
 from navfilter.io.logs.progress import byte_bar
-from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
 __all__ = ["records"]
 
@@ -28,37 +35,93 @@ _IDENTIFIER = b"\x7f\x7f"
 _CHUNK = 1 << 20
 _FIXED, _VARIABLE, _BOTTOM, _NAVIGATION = 0x0000, 0x0080, 0x0600, 0x2000
 _BAD = -32768
-_EPOCH = datetime.datetime(1970, 1, 1)
+_EPOCH, _DAY_S = datetime.datetime(1970, 1, 1), 86400.0
+_EARTH = 3
+#: Angle of the beams by the system configuration [deg]; 0: the leader has it elsewhere.
+_ANGLES = (15, 20, 30, 0)
+#: Bit of the sensors that are there.
+_PRESSURE_SENSOR = 0x20
 #: Of a binary angle of 32 bit [deg].
 _BINARY_ANGLE = 180.0 / 2**31
-_UNITS = {"velocity": "m/s", "range": "m", "heading": "deg", "pitch": "deg", "roll": "deg", "pressure": "Pa"} | {
-    "temperature": "degC",
-    "transducer_depth": "m",
-    "latitude": "deg",
-    "longitude": "deg",
-}
+_UNITS = (
+    {"velocity": "m/s", "range": "m", "heading": "deg", "pitch": "deg", "roll": "deg", "pressure": "Pa"}
+    | {
+        "temperature": "degC",
+        "transducer_depth": "m",
+        "latitude": "deg",
+        "longitude": "deg",
+        "beam_tilt": "deg",
+        "course": "deg",
+        "speed": "m/s",
+        "altitude": "m",
+        "geoid": "m",
+    }
+    | dict.fromkeys(("forward", "right", "down"), "m/s")
+)
 
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
+    ahead_s = _clock_ahead_s(path)
+    if ahead_s is None:
+        wanted.clock = INSTRUMENT
+        ahead_s = 0.0
+    elif abs(ahead_s) > 1.0:
+        tally[f"clock {_amount(ahead_s)} UTC by the receiver in the file: log_time is put right"] = 1
     for ensemble in _ensembles(path, tally):
-        blocks = _blocks(ensemble)
-        leader = blocks.get(_VARIABLE, b"")
-        time_s = _time_s(leader) if len(leader) >= 28 else None
-        if time_s is None:
+        every = list(_blocks(ensemble))
+        blocks = dict(every)
+        leader, fixed = blocks.get(_VARIABLE, b""), blocks.get(_FIXED, b"").ljust(59, b"\0")
+        clock_s = _time_s(leader) if len(leader) >= 28 else None
+        if clock_s is None:
             tally["ensembles without a time left out"] += 1
             continue
-        frame = (blocks.get(_FIXED, bytes(26))[25] >> 3) & 3
-        topics: dict[str, dict[str, float | None]] = {"sensors": _sensors(leader)}
+        time_s = clock_s - ahead_s
+        frame = (fixed[25] >> 3) & 3
+        found: list[tuple[str, float, dict[str, float | None]]] = [("sensors", time_s, _sensors(leader, fixed))]
         if len(blocks.get(_BOTTOM, b"")) >= 58:
-            topics["bottom_track"] = _bottom_track(blocks[_BOTTOM], frame)
-            topics["water_track"] = {**_velocities(blocks[_BOTTOM], 50), "frame": frame}
+            found.append(("bottom_track", time_s, _bottom_track(blocks[_BOTTOM], fixed, leader)))
+            found.append(("water_track", time_s, {**_velocities(blocks[_BOTTOM], 50), "frame": frame}))
         if len(blocks.get(_NAVIGATION, b"")) >= 34:
-            topics["navigation"] = _navigation(blocks[_NAVIGATION])
-        for topic, record in topics.items():
+            if (navigation := _navigation(blocks[_NAVIGATION])) is None:
+                tally["navigation blocks with an impossible date left out"] += 1
+            else:
+                found.append(("navigation", time_s, navigation))
+        for sentence in sentences(iter(every)):
+            own_s = time_s - (sentence.before_s or 0.0)
+            if sentence.time_of_day_s is not None:
+                own_s = sentence.time_of_day_s + _DAY_S * round((time_s - sentence.time_of_day_s) / _DAY_S)
+            found.append((sentence.kind, own_s, sentence.fields))
+        for topic, own_s, record in found:
             if wanted(topic):
                 wanted.units.setdefault(topic, {field: _UNITS.get(field.split("[")[0], "") for field in record})
-                yield topic, time_s, record
+                yield topic, own_s, record
+
+
+def _clock_ahead_s(path: Path) -> float | None:
+    """By how much the clock of the instrument is ahead of the UTC that receivers give in the file [s]; None where none
+    does.
+    """
+    ahead: list[float] = []
+    for ensemble in _ensembles(path, Counter()):
+        every = list(_blocks(ensemble))
+        blocks = dict(every)
+        leader = blocks.get(_VARIABLE, b"")
+        if (clock_s := _time_s(leader) if len(leader) >= 28 else None) is None:
+            continue
+        for sentence in sentences(iter(every)):
+            if sentence.time_of_day_s is not None and sentence.fields.get("quality"):
+                late_s = clock_s - (sentence.before_s or 0.0) - sentence.time_of_day_s
+                ahead.append((late_s + 0.5 * _DAY_S) % _DAY_S - 0.5 * _DAY_S)
+        if len(navigation := blocks.get(_NAVIGATION, b"")) >= 34 and (record := _navigation(navigation)) is not None:
+            ahead += [clock_s - record["utc"]] if record["utc"] and record["utc"] > _DAY_S else []
+    return statistics.median(ahead) if ahead else None
+
+
+def _amount(ahead_s: float) -> str:
+    size = abs(ahead_s)
+    hours, rest = divmod(size, 3600.0)
+    return f"{f'{hours:.0f} h ' if hours else ''}{rest:.4g} s {'ahead of' if ahead_s > 0.0 else 'behind'}"
 
 
 def _ensembles(path: Path, tally: Counter[str]) -> Iterator[bytes]:
@@ -76,7 +139,7 @@ def _complete(data: bytes, tally: Counter[str], at_end: bool = False) -> Any:
     at = 0
     while True:
         found = data.find(_IDENTIFIER, at)
-        tally["bytes between ensembles skipped"] += (len(data) - 1 if found < 0 else found) - at
+        tally["bytes between ensembles skipped"] += max(len(data) - 1 if found < 0 else found, at) - at
         if found < 0:
             return data[-1:]
         at = found
@@ -97,12 +160,13 @@ def _complete(data: bytes, tally: Counter[str], at_end: bool = False) -> Any:
             at += 1
 
 
-def _blocks(ensemble: bytes) -> dict[int, bytes]:
-    """Identifier -> block, from its identifier to the next one."""
+def _blocks(ensemble: bytes) -> Iterator[tuple[int, bytes]]:
+    """Identifier and content of the blocks, each from its identifier to the next one."""
     count = ensemble[5]
     begins = [*struct.unpack_from(f"<{count}H", ensemble, 6), len(ensemble)] if len(ensemble) >= 6 + 2 * count else []
-    pieces = [ensemble[a:b] for a, b in zip(begins, sorted(begins)[1:], strict=False)]
-    return {int.from_bytes(piece[:2], "little"): piece for piece in pieces if len(piece) >= 2}
+    for a, b in zip(begins, sorted(begins)[1:], strict=False):
+        if b - a >= 2:
+            yield int.from_bytes(ensemble[a : a + 2], "little"), ensemble[a:b]
 
 
 def _time_s(leader: bytes) -> float | None:
@@ -121,7 +185,7 @@ def _time_s(leader: bytes) -> float | None:
     return (moment - _EPOCH).total_seconds() + 0.01 * hundredths
 
 
-def _sensors(leader: bytes) -> dict[str, float | None]:
+def _sensors(leader: bytes, fixed: bytes) -> dict[str, float | None]:
     number, speed, depth, heading, pitch, roll, _, temperature = struct.unpack_from("<H10xHHHhhHh", leader, 2)
     record: dict[str, float | None] = {
         "ensemble": number + 65536 * leader[11],
@@ -131,8 +195,10 @@ def _sensors(leader: bytes) -> dict[str, float | None]:
     }
     record |= {"temperature": 0.01 * temperature, "speed_of_sound": speed, "transducer_depth": 0.1 * depth}
     if len(leader) >= 52:
-        record["pressure"] = 10.0 * int.from_bytes(leader[48:52], "little", signed=True)
-    return record
+        pressure = 10.0 * int.from_bytes(leader[48:52], "little", signed=True)
+        record["pressure"] = pressure if pressure or fixed[31] & _PRESSURE_SENSOR else None
+    alignment, bias = struct.unpack_from("<hh", fixed, 26)
+    return record | {"heading_alignment": 0.01 * alignment, "heading_bias": 0.01 * bias}
 
 
 def _velocities(block: bytes, at: int) -> dict[str, float | None]:
@@ -140,22 +206,45 @@ def _velocities(block: bytes, at: int) -> dict[str, float | None]:
     return {f"velocity[{k}]": None if value == _BAD else 1e-3 * value for k, value in enumerate(raw)}
 
 
-def _bottom_track(block: bytes, frame: int) -> dict[str, float | None]:
+def _bottom_track(block: bytes, fixed: bytes, leader: bytes) -> dict[str, float | None]:
     ranges = [
         low + 65536 * (block[77 + k] if len(block) >= 81 else 0)
         for k, low in enumerate(struct.unpack_from("<4H", block, 16))
     ]
     record = _velocities(block, 24)
+    frame = (fixed[25] >> 3) & 3
+    if frame == _EARTH:
+        record |= _in_the_body(record, leader)
     record |= {f"range[{k}]": 0.01 * value if value else None for k, value in enumerate(ranges)}
     record |= {f"percent_good[{k}]": value for k, value in enumerate(block[40:44])}
-    return {**record, "frame": frame}
+    return {**record, "frame": frame, "beam_tilt": _ANGLES[fixed[5] & 3] or fixed[58]}
 
 
-def _navigation(block: bytes) -> dict[str, float | None]:
+def _in_the_body(record: dict[str, float | None], leader: bytes) -> dict[str, float | None]:
+    """Velocity over ground forward, right, down, turned back as the instrument turned it: by the heading, pitch and
+    roll of the same ensemble (Teledyne RD Instruments, "ADCP Coordinate Transformation", P/N 951-6079-00, 2010).
+    """
+    east, north, up = (record[f"velocity[{k}]"] for k in range(3))
+    if east is None or north is None or up is None:
+        return {"forward": None, "right": None, "down": None}
+    h, p, r = (math.radians(0.01 * angle) for angle in struct.unpack_from("<Hhh", leader, 18))
+    p = math.atan(math.tan(p) * math.cos(r))
+    ch, sh, cp, sp, cr, sr = (f(angle) for angle in (h, p, r) for f in (math.cos, math.sin))
+    starboard = (ch * cr + sh * sp * sr) * east + (-sh * cr + ch * sp * sr) * north - cp * sr * up
+    forward = sh * cp * east + ch * cp * north + sp * up
+    mast = (ch * sr - sh * sp * cr) * east + (-sh * sr - ch * sp * cr) * north + cp * cr * up
+    return {"forward": -forward, "right": -starboard, "down": mast}
+
+
+def _navigation(block: bytes) -> dict[str, float | None] | None:
+    """Where the ship was; None of a block whose date is none."""
     day, month, year, first_s, offset_ms, lat_1, lon_1, last_s, lat_2, lon_2 = struct.unpack_from(
         "<BBHIiiiIii", block, 2
     )
-    midnight = (datetime.datetime(year, month, day) - _EPOCH).total_seconds() if year and month and day else 0.0
+    try:
+        midnight = (datetime.datetime(year, month, day) - _EPOCH).total_seconds() if year and month and day else 0.0
+    except ValueError:
+        return None
     record: dict[str, float | None] = {
         "latitude": _BINARY_ANGLE * lat_2,
         "longitude": _BINARY_ANGLE * lon_2,

@@ -2,12 +2,14 @@
 
 Message definitions come from the bag; those of a bag that has none (older .db3) from the definitions of ROS itself, and
 from files ``PACKAGE/msg/TYPE.msg`` beside the bag. The time of a record is that of its reception by the recorder;
-instruments' own stamps are ``header.stamp``.
+instruments' own stamps are ``header.stamp``. What a message says is absent (a covariance that begins with -1) is NaN.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import io
+import math
 from bz2 import open as bz2_open
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -59,13 +61,31 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         typestore, is2 = reader.typestore, reader.is2
         decode = typestore.deserialize_cdr if is2 else typestore.deserialize_ros1
         total = sum(connection.msgcount for connection in chosen)
+        with_covariance: dict[str, list[tuple[str, str]]] = {}
         for connection, nanoseconds, raw in bar(_until_damage(reader, chosen, tally), path, total, "messages"):
             try:
                 message = decode(raw, connection.msgtype)
             except Exception:  # the decoders are generated code: whatever a damaged message makes them raise
                 tally[f"messages of {connection.topic} cannot be decoded"] += 1
                 continue
+            if connection.msgtype not in with_covariance:
+                with_covariance[connection.msgtype] = _with_covariance(message)
+            for part, covariance in with_covariance[connection.msgtype]:
+                if getattr(message, covariance)[0] == -1.0:
+                    setattr(message, part, _nothing(getattr(message, part)))
+                    tally[f"messages of {connection.topic} say that they have no {part} (covariance -1)"] += 1
             yield connection.topic, nanoseconds * 1e-9, message
+
+
+def _with_covariance(message: Any) -> list[tuple[str, str]]:
+    """Parts of a message that have a covariance, with its name: its first element is -1 where the part is absent."""
+    names = list(getattr(message, "__dataclass_fields__", ()))
+    return [(name, f"{name}_covariance") for name in names if f"{name}_covariance" in names]
+
+
+def _nothing(part: Any) -> Any:
+    """The same part without a value."""
+    return dataclasses.replace(part, **{field.name: math.nan for field in dataclasses.fields(part) if field.init})
 
 
 def kinds(path: Path) -> dict[str, str]:

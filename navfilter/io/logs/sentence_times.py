@@ -27,12 +27,17 @@ class Carrier:
         Of the beginning; None: nothing in the file gives one, and times count from midnight of the first day.
     tally : Counter
         Gets the sentences that had to be dropped for want of a time.
+
+    Attributes
+    ----------
+    dated : bool
+        Whether a date is known.
     """
 
     def __init__(self, date: datetime.date | None, tally: Counter[str]) -> None:
         self._tally = tally
         self._midnight = 0.0 if date is None else _DAY_S * (date.toordinal() - _EPOCH)
-        self._dated = date is not None
+        self.dated = date is not None
         self._now: float | None = None
         self._received: float | None = None
         self._cycle_s = 1.0
@@ -56,6 +61,11 @@ class Carrier:
             self._now, self._received = time_s, received
         return time_s
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether a time was heard."""
+        return self._now is not None
+
     def wait(self, topic: str, record: Any, received: float | None) -> None:
         """A sentence without a time came."""
         if self._now is None:
@@ -73,7 +83,7 @@ class Carrier:
     def rest(self) -> Iterator[tuple[str, float, Any]]:
         """Those after the last time."""
         self._settle(None)
-        if not self._dated and self._now is not None:
+        if not self.dated and self._now is not None:
             self._tally["file without a date (no RMC, no ZDA): times count from midnight of its first day"] += 1
         return self.settled()
 

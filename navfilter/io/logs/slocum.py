@@ -4,7 +4,7 @@ sampled.
 The one topic is ``glider``, its fields are the glider's sensors by their own names and, latitude and longitude apart,
 in their own units: those come as degrees and minutes in one number (ddmm.mmmm) and are read as degrees. ``log_time`` is
 ``m_present_time`` (of science files ``sci_m_present_time``), UTC. Several files, by a pattern with ``*``, follow one
-another.
+another. Each begins with the fix that was known before it: that is left out until there is another.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from navfilter.io.logs.lines import lines
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 
-__all__ = ["records"]
+__all__ = ["degrees_of", "records"]
 
 TOPIC = "glider"
 _CLOCKS = ("m_present_time", "sci_m_present_time")
@@ -50,18 +50,28 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
     stated = {name: _UNITS.get(unit, "") for name, unit in zip(names, units, strict=True)}
     wanted.units[TOPIC] = {name: unit for name, unit in stated.items() if unit}
     angles = [name for name, unit in zip(names, units, strict=True) if unit in ("lat", "lon")]
+    fix = [names.index(name) for name in ("m_gps_lat", "m_gps_lon") if name in names]
+    before: list[bytes] | None = None
     for line in rows:
         cells = line.split()
         if len(cells) != len(names):
             tally["rows cut short or with too many cells left out"] += bool(cells)
             continue
+        if fix and cells[fix[0]].lower() != b"nan":
+            place = [cells[k] for k in fix]
+            before = before or place
+            if place == before:
+                tally["fixes left out that a segment repeats from the one before"] += 1
+                cells = [b"nan" if k in fix else cell for k, cell in enumerate(cells)]
+            else:
+                fix = []
         try:
             record = dict(zip(names, map(float, cells), strict=True))
         except ValueError:
             tally["rows with text among the numbers left out"] += 1
             continue
         for name in angles:
-            record[name] = _degrees(record[name])
+            record[name] = degrees_of(record[name])
         yield TOPIC, record[clock], record
 
 
@@ -83,9 +93,9 @@ def _head(path: Path, rows: Iterator[bytes]) -> tuple[list[str], list[str]]:
     return labels[0], labels[1]
 
 
-def _degrees(value: float) -> float:
-    """Degrees of a number that is written ddmm.mmmm."""
-    if not abs(value) <= _LARGEST_ANGLE:
+def degrees_of(value: float | None) -> float:
+    """Degrees of a number that is written ddmm.mmmm; NaN where there is none."""
+    if value is None or not abs(value) <= _LARGEST_ANGLE:
         return math.nan
     degrees, minutes = divmod(abs(value), 100.0)
     return math.copysign(degrees + minutes / 60.0, value)

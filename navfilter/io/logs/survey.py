@@ -16,7 +16,7 @@ from navfilter.foundation.quoting import one_line
 from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
-from navfilter.io.logs.topic_names import Wanted
+from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 from navfilter.io.trust import UNPACKED_BYTES, Allowance
 from navfilter.models.mission import MissionError
 
@@ -96,6 +96,14 @@ class Survey:
         What was dropped, and why.
     unpacked_bytes : int
         What the log may unpack to when it is read again.
+    clock : str
+        What the times count by where that is not UTC, see `navfilter.io.logs.topic_names`.
+    layout, time : tuple of str, str
+        Of a table: keys that say how it is laid out, and the value of ``time``.
+    uses : tuple of (Topic, Use)
+        Of a table: what it can give.
+    doubt : str
+        What is not known of the times.
     """
 
     path: Path
@@ -103,6 +111,11 @@ class Survey:
     topics: tuple[Topic, ...]
     notes: tuple[str, ...]
     unpacked_bytes: int = UNPACKED_BYTES
+    clock: str = ""
+    layout: tuple[str, ...] = ()
+    time: str = ""
+    uses: tuple[tuple[Topic, Any], ...] = ()
+    doubt: str = ""
 
     @property
     def begin_s(self) -> float:
@@ -160,7 +173,7 @@ def survey(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
             Topic(name, kinds.get(name, ""), time.size, time, kept[name].columns(), wanted.units.get(name, {}))
         )
     notes = tuple(f"{count} {reason}" for reason, count in tally.items() if count)
-    return Survey(path, known, tuple(topics), notes, unpacked_bytes)
+    return Survey(path, known, tuple(topics), notes, unpacked_bytes, wanted.clock)
 
 
 def survey_text(found: Survey, most: int = 80) -> str:
@@ -192,7 +205,8 @@ def _title(topic: Topic) -> str:
 def _when(found: Survey) -> str:
     if not found.is_utc:
         return " (times count from the start of the recorder)"
-    return f" from {np.datetime64(int(found.begin_s), 's')} UTC"
+    clock = "by the instrument's clock" if found.clock == INSTRUMENT else "UTC"
+    return f" from {np.datetime64(int(found.begin_s), 's')} {clock}"
 
 
 def _first_values(topic: Topic, most: int = 4) -> str:

@@ -7,7 +7,10 @@ from collections.abc import Callable, Collection
 
 from navfilter.io.trust import Allowance
 
-__all__ = ["Wanted", "without_instance"]
+__all__ = ["INSTRUMENT", "OF_DAY", "Wanted", "without_instance"]
+
+#: Midnight of a day that the log does not name; the clock of an instrument, which need not be UTC.
+OF_DAY, INSTRUMENT = "of day", "instrument"
 
 
 def without_instance(topic: str) -> str:
@@ -36,10 +39,12 @@ class Wanted:
     ) -> None:
         self._names = names
         self.allowance = allowance or Allowance()
-        self._short = short
+        self.short = short
         self._answers: dict[str, tuple[str, ...]] = {}
         #: Topic -> field -> unit, where the log itself says so; filled by the reader.
         self.units: dict[str, dict[str, str]] = {}
+        #: What the times count by, where that is not UTC: `OF_DAY` or `INSTRUMENT`; set by the reader.
+        self.clock = ""
 
     def __call__(self, topic: str) -> bool:
         return bool(self.asked_as(topic))
@@ -60,7 +65,7 @@ class Wanted:
         return tuple(self._answers)
 
     def _matching(self, topic: str, names: Collection[str]) -> tuple[str, ...]:
-        short = self._short(topic)
+        short = self.short(topic)
         return tuple(
             name for name in names if name in (topic, short) or ("*" in name and fnmatch.fnmatchcase(topic, name))
         )

@@ -1,0 +1,337 @@
+"""What the columns of a table are, by their names, their units and their values: for ``navfilter mission --init``.
+
+A name says what a column may be; its values have to agree, and tell the unit where the name does not. Whatever is so
+found is a guess, and marked as one.
+"""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.io import dates
+from navfilter.io.inertial import bare_name, found_axes, size_of_axes
+from navfilter.io.logs.formats import Format
+from navfilter.io.logs.known_topics import Use
+from navfilter.io.logs.survey import Survey, Topic
+from navfilter.io.series import first_lines
+from navfilter.io.table import Table, listing
+from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.text_tables import delimiter_of, fields_of
+from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
+from navfilter.io.units import ALIASES, UNITS, angles, unit
+from navfilter.models.magnetic import believable, declination
+from navfilter.models.mission import MissionError
+
+__all__ = ["TABLE", "survey_table"]
+
+Array = npt.NDArray[np.float64]
+
+TABLE = Format("a table", "table", (".csv", ".txt", ".dat", ".tsv", ".log", ".asc"))
+#: Quantity -> what its column may be called, in lower case and without its unit.
+_NAMES = {
+    "date": r"date|datum|utc_?date|dat",
+    "time": r"t|(?:utc_?|gps_?|date_?|unix_?|log_?)?time|times?tamp|zeit|utc|unix|epoch|seconds?|secs?|t_?utc|elapsed",
+    "latitude": r"(?:gps|gnss|nav|m)?[_ ]?lat(?:itud\w*|itudine)?",
+    "longitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:lon|lng|long)(?:gitud\w*|gitudine)?",
+    "height": r"(?:gps|gnss)?[_ ]?(?:height|alt(?:itude)?|elevation|ele|h|hae|hell)",
+    "roll": r"(?:m_)?(?:roll|heel|phi)(?:_?angle)?",
+    "pitch": r"(?:m_)?(?:pitch|trim|theta)(?:_?angle)?",
+    "heading": r"(?:m_|true_?|mag(?:netic)?_?)?(?:heading|hdg|hdt|hdm|yaw|compass|psi|kurs)(?:_?(?:true|mag|angle))?",
+    "depth": r"(?:m_)?(?:depth|tiefe|depth_?m)",
+    "pressure": r"(?:abs(?:olute)?_?|water_?)?press(?:ure)?(?:_?abs)?",
+    "water_speed": r"bsp|boat_?speed|stw|water_?speed|speed_?(?:through_?)?water|log_?speed",
+}
+_VELOCITIES = (
+    ("u", "v", "w"),
+    ("vx", "vy", "vz"),
+    ("v_x", "v_y", "v_z"),
+    ("vel_x", "vel_y", "vel_z"),
+    ("velocity_x", "velocity_y", "velocity_z"),
+    ("dvl_x", "dvl_y", "dvl_z"),
+    ("dvl_vx", "dvl_vy", "dvl_vz"),
+    ("v_forward", "v_right", "v_down"),
+)
+#: No vehicle under water is faster [m/s]: larger numbers are millimetres.
+_FASTEST_M_S = 50.0
+#: How many readings a course needs to tell magnetic from true north, and how much they must differ [rad].
+_COURSES, _APART = 100, math.radians(3.0)
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """How the times are to be read: the value of ``time`` in the mission.toml, and what is not known of it."""
+
+    line: str
+    guess: str
+    time_s: Array
+
+
+def survey_table(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
+    """Look at a table as `navfilter.io.logs.survey` does at a log, with a guess of what its columns are.
+
+    Raises
+    ------
+    MissionError
+        Where the table has no names of columns, or none that is known as a time.
+    """
+    skip = _lines_before_header(path)
+    table = read_table(Place(path, str(path), True, Allowance(unpacked_bytes)), TableOptions(skip_lines=skip))
+    clock = _clock(table)
+    topic = Topic("", "", clock.time_s.size, clock.time_s[np.isfinite(clock.time_s)], dict(table.columns), {})
+    layout = (f"skip_lines = {skip}",) if skip else ()
+    uses = tuple((topic, use) for use in _uses(table, clock))
+    return Survey(path, TABLE, (topic,), table.notes, unpacked_bytes, "", layout, clock.line, uses, clock.guess)
+
+
+def _lines_before_header(path: Path) -> int:
+    """Lines before the names: these have as many fields as the line behind them, and that has numbers."""
+    rows = first_lines(path)
+    for number, (line, after) in enumerate(itertools.pairwise(rows)):
+        delimiter = delimiter_of(line)
+        names, cells = (fields_of(text.strip("\r\n"), delimiter) for text in (line, after))
+        numeric = sum(_is_value(cell) for cell in cells)
+        if (
+            len(names) > 1
+            and not any(map(_is_value, names))
+            and abs(len(cells) - len(names)) <= 1
+            and 2 * numeric >= len(names)
+        ):
+            return number
+    raise MissionError(
+        f"{path}: no line of names with a row of numbers behind it among the first {len(rows)}: nothing to guess from. "
+        "Write a mission.toml by hand (docs/pages/mission-toml.md)."
+    )
+
+
+def _is_value(cell: str) -> bool:
+    return re.fullmatch(r"\s*[-+]?[\d.,:/\-T ]*\d[\d.,:/\-eET ]*[NSEWZ]?\s*", cell) is not None
+
+
+def _named(table: Table, quantity: str, *others: str) -> tuple[str, str] | None:
+    """A column that may be this quantity, and the unit that its name says."""
+    for name in table.columns:
+        bare, stated = bare_name(name)
+        if re.fullmatch(_NAMES[quantity], bare.replace(" ", "_")) and name not in others:
+            known = ALIASES.get(stated, stated)
+            return name, known if known in UNITS else ""
+    return None
+
+
+# --- times ----------------------------------------------------------------------------------------------------------
+
+
+def _clock(table: Table) -> _Clock:
+    date, time = _named(table, "date"), _named(table, "time")
+    if time is None and date is None:
+        names = listing("columns", list(table.columns))
+        raise MissionError(f"{table.path}: no column looks like a time ({names}). Write a mission.toml by hand.")
+    columns = tuple(one[0] for one in (date, time) if one is not None)
+    raw = table.joined(columns if len(columns) > 1 else columns[0])
+    # a header that is repeated makes texts of numbers
+    if len(columns) > 1 or np.isfinite(table.numbers(columns[0])[0]).mean() < 0.5:
+        return _dated(table, columns, raw)
+    assert time is not None or date is not None
+    name, stated = time or date  # type: ignore[misc]
+    values = table.numbers(name)[0]
+    known = stated if stated and UNITS[stated].dimension == "time" else _unit_of_time(values)
+    shown = f', unit = "{known}"' if known != "s" else ""
+    zero = 25569.0 if known == "day" and 36892.0 < np.nanmedian(values) < 73051.0 else 0.0
+    guess = "" if stated else f"the times are in {known}, by their size"
+    return _Clock(f"{{column = {json.dumps(name)}{shown}}}", guess, (values - zero) * UNITS[known].factor)
+
+
+def _dated(table: Table, columns: tuple[str, ...], raw: npt.NDArray[Any]) -> _Clock:
+    column = json.dumps(columns[0]) if len(columns) == 1 else json.dumps(list(columns))
+    line, words = f'{{column = {column}, unit = "iso8601"', "the times are UTC"
+    try:
+        found = dates.seconds(raw, None, None)
+    except ValueError as error:
+        try:
+            found = dates.seconds(raw, "dmy", None)
+        except ValueError:
+            raise MissionError(f"{table.path}: {error}") from None
+        line, words = f'{line}, order = "dmy"', f"{words}, and dates are day, month, year"
+    return _Clock(f"{line}}}", "; ".join(filter(None, [words, found.note])), found.time_s)
+
+
+def _unit_of_time(values: Array) -> str:
+    """Times since 1970 tell their unit by their size; others are seconds, or milliseconds of a fast instrument."""
+    size = float(np.nanmedian(np.abs(values)))
+    for name, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if 1e9 * factor <= size < 4.1e9 * factor:
+            return name
+    steps = np.diff(values[np.isfinite(values)])
+    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
+    if 36892.0 < size < 73051.0 and step < 0.01:
+        return "day"
+    return "us" if step >= 1e4 else "ms" if step >= 5.0 else "s"
+
+
+# --- what the columns are -------------------------------------------------------------------------------------------
+
+
+def _uses(table: Table, clock: _Clock) -> Iterator[Use]:
+    """What the table can give, the preferred first."""
+    for give in (_inertial, _headings, _velocity, _water, _depth, _position):
+        yield from give(table, clock)
+
+
+def _use(reading: str, lines: tuple[str, ...], fields: tuple[str, ...], guess: str, where: str = "") -> Use:
+    return Use("table", "", reading, lines, fields, where, guess)
+
+
+def _inertial(table: Table, _: _Clock) -> Iterator[Use]:
+    gyro, accel = (found_axes(table, group) for group in ("gyro", "accel"))
+    if not (gyro and accel):
+        return
+    up = float(np.nanmean(table.numbers(accel[2])[0])) > 0.0
+    axes = ', axes = "x,-y,-z"' if up else ""
+    lines, words = [], []
+    for group, names in (("gyro", gyro), ("accel", accel)):
+        name = size_of_axes(table, group, names)
+        key = "rate" if group == "gyro" else "force"
+        lines.append(f'{key} = {{columns = {json.dumps(list(names))}, unit = "{name}"{axes}}}')
+        words.append(f"{', '.join(names)} in {name}")
+    words.append(f"axes: {'forward, left, up' if up else 'forward, right, down'}, because gravity points that way")
+    yield _use("imu", tuple(lines), (*gyro, *accel), "; ".join(words))
+
+
+def _headings(table: Table, clock: _Clock) -> Iterator[Use]:
+    heading = _named(table, "heading")
+    if heading is None:
+        return
+    name = _unit_of_angle(table, *heading)
+    north = _which_north(table, clock, heading[0], name)
+    roll, pitch = _named(table, "roll"), _named(table, "pitch")
+    words = f"{heading[0]} in {name}, from {north} north"
+    prefix = "magnetic" if north == "magnetic" else ""
+    if roll and pitch:
+        units = json.dumps([one[1] or name for one in (roll, pitch, heading)])  # small tilts do not tell
+        columns = json.dumps([one[0] for one in (roll, pitch, heading)])
+        tilt = f"{roll[0]} and {pitch[0]} positive to starboard and bow up"
+        line = f"attitude = {{columns = {columns}, unit = {units}}}"
+        yield _use(f"{prefix}-attitude".lstrip("-"), (line,), (heading[0],), f"{words}; {tilt}")
+    line = f'heading = {{column = {json.dumps(heading[0])}, unit = "{name}"}}'
+    yield _use(prefix or "heading", (line,), (heading[0],), words)
+
+
+def _velocity(table: Table, _: _Clock) -> Iterator[Use]:
+    bare = {bare_name(name)[0].replace(" ", "_"): name for name in table.columns}
+    for names in _VELOCITIES:
+        if all(name in bare for name in names):
+            columns = [bare[name] for name in names]
+            stated = ALIASES.get(bare_name(columns[0])[1], bare_name(columns[0])[1])
+            size = float(np.nanquantile(np.abs(table.numbers(columns[0])[0]), 0.99))
+            name = stated if stated and stated in UNITS else "mm/s" if size > _FASTEST_M_S else "m/s"
+            line = f'velocity = {{columns = {json.dumps(columns)}, unit = "{name}"}}'
+            words = f"{', '.join(columns)}: velocity over ground forward, right, down, in {name}"
+            yield _use("velocity", (line,), tuple(columns), words)
+            return
+
+
+def _water(table: Table, _: _Clock) -> Iterator[Use]:
+    if (speed := _named(table, "water_speed")) is not None:
+        name = speed[1] or "kn"
+        columns = f"{json.dumps(speed[0])}, {{constant = 0.0}}, {{constant = 0.0}}"
+        line = f'velocity = {{columns = [{columns}], unit = "{name}"}}'
+        yield _use("water", (line,), (speed[0],), f"{speed[0]} in {name}, through the water; no leeway: all forward")
+
+
+def _depth(table: Table, _: _Clock) -> Iterator[Use]:
+    if (depth := _named(table, "depth")) is not None:
+        values = table.numbers(depth[0])[0]
+        up = float(np.nanmedian(values)) < 0.0
+        name = depth[1] if depth[1] and UNITS[depth[1]].dimension == "length" else "m"
+        line = f'depth = {{column = {json.dumps(depth[0])}, unit = "{name}"{", scale = -1.0" if up else ""}}}'
+        yield _use("depth", (line,), (depth[0],), f"{depth[0]}: depth of the vehicle, not of the water, in {name}")
+    elif (pressure := _named(table, "pressure")) is not None and pressure[1]:
+        values = table.numbers(pressure[0])[0] * unit(pressure[1]).factor
+        absolute = float(np.nanmin(values)) > 5e4
+        offset = "" if absolute else ', offset = "1013.25 hPa"'
+        line = f'pressure = {{column = {json.dumps(pressure[0])}, unit = "{pressure[1]}"{offset}}}'
+        words = f"{pressure[0]}: pressure of the water, {'absolute' if absolute else 'above that of the air'}"
+        yield _use("pressure" if absolute else "gauge-pressure", (line,), (pressure[0],), words)
+
+
+def _position(table: Table, _: _Clock) -> Iterator[Use]:
+    latitude, longitude = _named(table, "latitude"), _named(table, "longitude")
+    if latitude is None or longitude is None:
+        return
+    names = [_unit_of_place(table, one[0], one[1]) for one in (latitude, longitude)]
+    columns, units = [latitude[0], longitude[0]], names
+    words = f"{latitude[0]}, {longitude[0]} in {names[0]}"
+    height = _named(table, "height")
+    if height is not None and np.isfinite(table.numbers(height[0])[0]).any():
+        columns, units = [*columns, height[0]], [*names, height[1] or "m"]
+        words += f"; {height[0]}: its height"
+    line = f"position = {{columns = {json.dumps(columns)}, unit = {json.dumps(units)}, invalid_together = false}}"
+    yield _use("position", (line,), (latitude[0], longitude[0]), words)
+
+
+def _unit_of_angle(table: Table, name: str, stated: str) -> str:
+    if stated and UNITS[stated].dimension == "angle":
+        return stated
+    largest = float(np.nanmax(np.abs(table.numbers(name)[0]), initial=0.0))
+    return "rad" if largest <= 2.0 * math.pi + 0.01 else "deg"
+
+
+def _unit_of_place(table: Table, name: str, stated: str) -> str:
+    if stated and UNITS[stated].dimension == "angle":
+        return stated
+    raw = table.raw(name)
+    if raw.dtype.kind in "OUT":
+        degrees = angles(raw, "ddmm")
+        whole = np.nanmedian(np.abs(angles(raw, "deg")))
+        return "ddmm" if whole > 180.0 or (np.isfinite(degrees).all() and whole > 90.0) else "deg"
+    largest = float(np.nanmedian(np.abs(table.numbers(name)[0])))
+    return "degE7" if largest > 1e6 else "ddmm" if largest > 180.0 else "deg"
+
+
+def _which_north(table: Table, clock: _Clock, heading: str, name: str) -> str:
+    """Whether a heading counts from magnetic north: by its name, else by the course over ground and the declination."""
+    if re.search(r"mag|hdm", heading.lower()):
+        return "magnetic"
+    if re.search(r"true|hdt", heading.lower()):
+        return "true"
+    latitude, longitude = _named(table, "latitude"), _named(table, "longitude")
+    moment = float(np.nanmedian(clock.time_s))
+    if latitude is None or longitude is None or not 1e9 < moment < 4.1e9:
+        return "magnetic" if re.search(r"compass|hdg", heading.lower()) else "true"
+    north, east = (angles(table.raw(one[0]), _unit_of_place(table, *one)) for one in (latitude, longitude))
+    if _unit_of_place(table, *latitude) == "degE7":
+        north, east = 1e-7 * north, 1e-7 * east
+    off, count = _course_off(clock.time_s, north, east, angles(table.raw(heading), name) * UNITS[name].factor)
+    day = believable(datetime.datetime.fromtimestamp(moment, datetime.UTC).date())
+    turned = declination(float(np.nanmedian(north)), float(np.nanmedian(east)), 0.0, day)
+    if count < _COURSES or abs(turned) < _APART:
+        return "magnetic" if re.search(r"compass|hdg", heading.lower()) else "true"
+    return "magnetic" if abs(off - turned) < abs(off) else "true"
+
+
+def _course_off(time_s: Array, latitude: Array, longitude: Array, heading: Array) -> tuple[float, int]:
+    """By how much the course over ground is to the right of the heading, mostly [rad], and of how many readings."""
+    moved = np.r_[True, (np.diff(latitude) != 0.0) | (np.diff(longitude) != 0.0)]
+    good = np.flatnonzero(moved & np.isfinite(np.column_stack([time_s, latitude, longitude, heading])).all(axis=1))
+    if good.size < 3:
+        return 0.0, 0
+    step_s, up, right = (x[good[2:]] - x[good[:-2]] for x in (time_s, latitude, longitude))
+    north, east = 111.2e3 * up, 111.2e3 * right * math.cos(math.radians(float(np.nanmedian(latitude))))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.hypot(north, east) / step_s
+    fast = (speed > 0.5) & (speed < 30.0)
+    apart = np.exp(1j * (np.arctan2(east, north) - heading[good[1:-1]]))[fast]
+    if not apart.size:
+        return 0.0, 0
+    middle = float(np.angle(apart.sum()))
+    return middle + float(np.median(np.angle(apart * np.exp(-1j * middle)))), int(fast.sum())

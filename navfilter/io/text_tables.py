@@ -1,0 +1,290 @@
+"""Text tables as named columns, by the rules of CSV: quotes, delimiters, decimal commas, comments, encodings.
+
+What a file of somebody else's logger may hold beside its rows (a comment, zero bytes where the power was lost, a row
+that was cut) is taken out and counted; nothing that remains is read otherwise than the file says it.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navfilter.io.table import Table
+from navfilter.io.trust import Place
+from navfilter.models.mission import MissionError
+
+if TYPE_CHECKING:
+    from navfilter.io.tables import TableOptions
+
+__all__ = ["before_comment", "delimiter_of", "fields_of", "read_text"]
+
+#: Where lines end other than by themselves (`str.splitlines`), hold nothing, or have spaces around them.
+_UNTIDY = [b"\r", b"\x0b", b"\x0c", b"\x1c", b"\x1d", b"\x1e", b"\n\n", b"\n ", b" \n"]
+_QUOTED = re.compile(r'"(?:[^"]|"")*"')
+#: What fills the end of a file, or a block of it, that was reserved and not written.
+_ZEROS = re.compile(rb"\0+")
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+#: Rows that are looked at for the decimal sign.
+_LOOKED_AT = 200
+_WITH_COMMA = re.compile(r"[-+]?(?:\d+|\d{1,3}(?:\.\d{3})+)?,\d+(?:[eE][-+]?\d+)?")
+_WITH_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+")
+#: Rows with fewer fields than the header are cut ones where they are so few; else the logger leaves out empty ones.
+_CUT = 0.01
+
+
+def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
+    """Read the columns of a text table.
+
+    Parameters
+    ----------
+    place : Place
+        Where the data are from, for messages.
+    data : bytes
+    options : TableOptions
+
+    Raises
+    ------
+    MissionError
+        If it is no text, has no rows, or cannot be taken apart.
+    """
+    import pandas as pd
+
+    notes: list[str] = []
+    text = _tidy(_text(place, data, notes), options)
+    rows = io.BytesIO(text)
+    delimiter, first = options.delimiter, _record(rows)
+    if first.lower().startswith("sep=") and len(first) == 5:
+        delimiter = delimiter or first[4]
+        rows = io.BytesIO(rows.read())
+        first = _record(rows)
+    delimiter = delimiter or delimiter_of(first, options.decimal, _peek(rows))
+    names, has_header = _names(first, _peek(rows), delimiter, options)
+    if not has_header:
+        rows.seek(0)
+    for _ in range(options.skip_rows):
+        rows.readline()
+    begin = rows.tell()
+    first = _peek(rows)
+    if not first:
+        raise MissionError(f"{place.shown} holds no rows of data.")
+    if options.comment and options.comment.encode() in text:
+        rows, begin = io.BytesIO(_without_comments(rows, delimiter, len(names), options.comment)), 0
+    names, bare = _unique(names), len(names)
+    width = max(bare, len(fields_of(first, delimiter)))
+    names += [f"unnamed {k}" for k in range(bare, width)]
+    decimal, thousands = (options.decimal, None) if options.decimal else _decimal(rows, delimiter)
+    try:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            frame = pd.read_csv(
+                rows,
+                sep=r"\s+" if delimiter == "whitespace" else delimiter,
+                header=None,
+                names=names,
+                index_col=False,
+                decimal=decimal,
+                thousands=thousands,
+                skipinitialspace=True,
+                on_bad_lines="warn",
+                low_memory=False,
+            )
+    except Exception as error:  # pandas raises half a dozen unrelated types on garbage
+        reason = str(error).splitlines()[0] if str(error) and place.quoted else type(error).__name__
+        raise MissionError(f"{place.shown} cannot be read as a table: {reason}.") from None
+    if skipped := sum(str(warning.message).count("Skipping line") for warning in told):
+        notes.append(f"{skipped} rows with too many fields skipped")
+    if cut := _cut_rows(frame, rows, begin, delimiter, bare):
+        frame = frame.drop(index=cut)
+        notes.append(f"{len(cut)} rows with fewer fields than columns left out: cut short")
+    columns = {name: frame[name].to_numpy() for name in names}
+    while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
+        columns.popitem()
+    file = Path(place.shown).name
+    return Table(place.shown, columns, tuple(f"{file}: {note}" for note in notes), quoted=place.quoted)
+
+
+# --- bytes and lines ------------------------------------------------------------------------------------------------
+
+
+def _text(place: Place, data: bytes, notes: list[str]) -> bytes:
+    """The text as UTF-8 or ASCII, without byte order mark and without zero bytes."""
+    mark = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "")
+    if mark:
+        data = data.decode(mark, errors="replace").encode()
+    elif not data.isascii():
+        try:
+            data.decode()
+        except UnicodeDecodeError:  # of an older system of the West: a degree sign is one byte
+            data = data.decode("cp1252", errors="replace").encode()
+    if b"\0" not in data:
+        return data
+    # each run ends a row: what follows was written after the next start
+    kept = _ZEROS.sub(b"\n", data)
+    control = sum(byte < 32 and byte not in b"\t\n\r\x0b\x0c\x1a\x1c\x1d\x1e" for byte in kept[:65536])
+    runs = len(_ZEROS.findall(data))
+    if control or not kept.strip() or runs > 1 + kept.count(b"\n") // 20:
+        raise MissionError(f"{place.shown} is not a text file (it contains zero bytes).")
+    notes.append(f"{data.count(0)} zero bytes left out: reserved and never written, as when the power is lost")
+    return kept
+
+
+def _tidy(data: bytes, options: TableOptions) -> bytes:
+    """The lines that hold something, without lines of comment and spaces around them.
+
+    Most logs are so from the start. A line as an object of its own takes twice its text, a day's log ten gigabytes.
+    """
+    plain = data.replace(b"\r\n", b"\n") if b"\r" in data else data
+    comment = options.comment.encode()
+    lines_of_comment = comment and (plain.startswith(comment) or b"\n" + comment in plain)
+    edges = plain[:1] in (b" ", b"\n") or plain.endswith(b" ")
+    if (
+        not (options.skip_lines or edges or lines_of_comment)
+        and plain.isascii()
+        and not any(mark in plain for mark in _UNTIDY)
+    ):
+        return plain
+    lines = (line.strip(" \r\n") for line in data.decode(errors="replace").splitlines()[options.skip_lines :])
+    kept = (line for line in lines if line and not (comment and line.startswith(options.comment)))
+    return "\n".join(kept).encode()
+
+
+def _record(rows: io.BytesIO) -> str:
+    """The next record: a line, or several where quotes hold the ends of lines."""
+    text = rows.readline().decode(errors="replace")
+    while text.count('"') % 2 and (more := rows.readline().decode(errors="replace")):
+        text += more
+    return text.rstrip("\n")
+
+
+def _peek(rows: io.BytesIO) -> str:
+    at = rows.tell()
+    text = _record(rows)
+    rows.seek(at)
+    return text
+
+
+def before_comment(line: str, comment: str) -> str:
+    """What of a line counts as long as nothing is known of its columns: nothing of a line of comment."""
+    line = line.strip(" \r\n")
+    return "" if comment and line.startswith(comment) else line
+
+
+def _without_comments(rows: io.BytesIO, delimiter: str, width: int, comment: str) -> bytes:
+    """The rows without a comment at their ends. The sign also stands in names (``DVL#1``): it begins a comment only
+    behind a row that is whole, and there with blanks on both sides or behind a number.
+    """
+    kept = []
+    for raw in rows:
+        line = raw.decode(errors="replace").rstrip("\n")
+        at = -1
+        while (at := line.find(comment, at + 1)) >= 0:
+            before = line[:at]
+            cells = fields_of(before, delimiter) if before.count('"') % 2 == 0 else []
+            apart = before.endswith(" ") and line[at + len(comment) :][:1] in (" ", "")
+            if len(cells) >= width and (apart or _is_number(cells[-1])):
+                line = before.rstrip()
+                break
+        kept.append(line)
+    return "\n".join(kept).encode()
+
+
+def _cut_rows(frame: object, rows: io.BytesIO, begin: int, delimiter: str, width: int) -> list[int]:
+    """Rows that end before their last column, where they are few: the number at their end may be cut too."""
+    import pandas as pd
+
+    assert isinstance(frame, pd.DataFrame)  # pandas is imported where it is used
+    if width < 2 or not len(frame):
+        return []
+    short = set(np.flatnonzero(frame.iloc[:, width - 1].isna().to_numpy()).tolist())
+    rows.seek(0, io.SEEK_END)
+    last_ends = rows.getbuffer()[-1:] == b"\n"
+    lines = rows.getvalue().count(b"\n", begin) + (not last_ends)
+    # more lines than rows: a cell holds the end of a line, or a row was skipped
+    if not short or len(short) > 1 + _CUT * len(frame) or lines != len(frame):
+        return []
+    rows.seek(begin)
+    return [
+        k
+        for k, line in enumerate(rows)
+        if k in short and len(fields_of(line.decode(errors="replace").rstrip("\n"), delimiter)) < width
+    ]
+
+
+# --- fields ---------------------------------------------------------------------------------------------------------
+
+
+def fields_of(record: str, delimiter: str) -> list[str]:
+    """The fields of a record as CSV has them: a delimiter within quotes is none."""
+    if delimiter == "whitespace":
+        record, delimiter = " ".join(record.split("\t")), " "
+    found = next(csv.reader([record], delimiter=delimiter, skipinitialspace=True), [])
+    return found[:-1] if delimiter == " " and found and not found[-1] else found
+
+
+def _names(first: str, second: str, delimiter: str, options: TableOptions) -> tuple[list[str], bool]:
+    """Names of the columns, and whether the first record holds them."""
+    fields = fields_of(first, delimiter)
+    if isinstance(options.header, tuple):
+        return list(options.header), False
+    if not (options.header if isinstance(options.header, bool) else not any(map(_is_number, fields))):
+        return [str(k) for k in range(len(fields))], False
+    if options.comment and (sign := f" {options.comment} ") in first:
+        cut = fields_of(first.split(sign, 1)[0].rstrip(), delimiter)
+        fields = cut if len(cut) == len(fields_of(second, delimiter)) else fields
+    return [name.strip() for name in fields], True
+
+
+def delimiter_of(line: str, decimal: str | None = None, after: str = "") -> str:
+    """What parts the fields of a line: a tab, a semicolon or a comma outside of quotes, else blanks; of several the one
+    that parts the line behind it into as many.
+    """
+    bare = _QUOTED.sub("", line)
+    there = [candidate for candidate in ("\t", ";", ",") if candidate in bare and candidate != decimal]
+    alike = [one for one in there if after and len(fields_of(line, one)) == len(fields_of(after, one))]
+    if there:
+        return (alike or there)[0]
+    return "whitespace" if len(bare.split()) > 1 else ","
+
+
+def _decimal(rows: io.BytesIO, delimiter: str) -> tuple[str, str | None]:
+    """Decimal sign and sign between thousands, as the first rows have them: a comma where numbers have no point."""
+    at, cells = rows.tell(), list[str]()
+    for _ in range(_LOOKED_AT):
+        if not (record := _record(rows)):
+            break
+        cells += [cell.strip() for cell in fields_of(record, delimiter)]
+    rows.seek(at)
+    with_comma = [cell for cell in cells if _WITH_COMMA.fullmatch(cell)]
+    if not with_comma or any(map(_WITH_POINT.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma)):
+        return ".", None
+    return ",", "." if any("." in cell for cell in with_comma) else None
+
+
+def _is_number(field_text: str) -> bool:
+    try:
+        float(field_text.strip().replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _is_blank(cell: object) -> bool:
+    return (isinstance(cell, float) and np.isnan(cell)) or (isinstance(cell, str) and not cell.strip())
+
+
+def _unique(names: list[str]) -> list[str]:
+    seen: dict[str, int] = {}
+    result = []
+    for position, name in enumerate(names):
+        base = name or f"unnamed {position}"
+        seen[base] = seen.get(base, 0) + 1
+        result.append(base if seen[base] == 1 else f"{base}.{seen[base] - 1}")
+    return result
