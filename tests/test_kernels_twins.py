@@ -25,7 +25,7 @@ from kernel_inputs import (
     uncalibrated_drive,
 )
 
-from navfilter.kernels import checksum, kalman, measurement, strapdown
+from navfilter.kernels import checksum, consistency, kalman, measurement, strapdown
 
 FOLDER = Path(strapdown.__file__).parent
 #: All but those that hold no kernel.
@@ -369,7 +369,7 @@ def test_what_the_iron_leaves_out(hard, soft, dip):
     z = np.append(nav[6:15].reshape(3, 3).T @ [20.0, 3.0, 45.0 * dip], math.nan)
     near, res, P = np.zeros((1, 9 + k)), np.zeros(1), spd(rng, 12 + k, 1e-3)
     measurement.magnetometer(z, nav, np.zeros(3), np.zeros(k), cfg, near, res)
-    ours, twins = run_both(measurement.iron_bend, z, near, P, 12, cfg, np.eye(1))
+    ours, twins = run_both(consistency.iron_second_order, z, near, P, 12, cfg, np.eye(1))
     assert_close([ours[5]], [twins[5]], 1e-9)
     assert ours[5][0, 0] > 1.0
 
@@ -380,7 +380,7 @@ def test_what_a_tilt_leaves_out_equals_its_twin_and_is_a_variance():
     nav, cfg, near, res = random_nav(rng), np.array([0.1, 20.0, -1.0, -1.0, 1.0, 1.0]), np.zeros((1, 9)), np.zeros(1)
     P, z = spd(rng, 9, 1e-4), np.append(nav[6:15].reshape(3, 3).T @ [5.0, 0.5, -60.0], math.nan)
     measurement.magnetometer(z, nav, np.zeros(3), np.zeros(0), cfg, near, res)
-    ours, twins = run_both(measurement.tilt_bend, z, near, P, 9, cfg, np.zeros((1, 1)))
+    ours, twins = run_both(consistency.tilt_second_order, z, near, P, 9, cfg, np.zeros((1, 1)))
     assert_close([ours[5]], [twins[5]], 1e-12)
     tilt = rng.multivariate_normal(np.zeros(2), P[6:8, 6:8], size=400_000)
     north, dip = np.array([math.cos(0.1), math.sin(0.1)]), 60.0 / math.hypot(5.0, 0.5)
@@ -395,7 +395,7 @@ def test_what_bends_of_a_deviation_equals_its_twin_and_is_a_variance():
     nav, cfg, near, res = random_nav(rng), np.array([0.1, 20.0, -1.0, -1.0, 1.0]), np.zeros((1, 15)), np.zeros(1)
     P, z = spd(rng, 18, 1e-3), np.array([1.0, math.nan])
     measurement.heading(z, nav, np.zeros(3), np.zeros(6), cfg, near, res)
-    ours, twins = run_both(measurement.deviation_bend, z, near, P, 12, cfg, np.zeros((1, 1)))
+    ours, twins = run_both(consistency.deviation_second_order, z, near, P, 12, cfg, np.zeros((1, 1)))
     assert_close([ours[5]], [twins[5]], 1e-12)
     drawn = rng.multivariate_normal(np.zeros(5), P[np.ix_([8, 13, 14, 15, 16], [8, 13, 14, 15, 16])], size=200_000)
     sin, cos, sin2, cos2 = near[0, 10:14]
@@ -462,7 +462,7 @@ def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change
     present, twin = run_both(kalman.present, P, acc, nav, True, 0.0, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
     assert_close(present[6:], twin[6:], 1e-14)
     np.testing.assert_array_equal(present[1], before)
-    ours, twins = run_both(kalman.discount_heading, P, acc, nav, 0.0, np.zeros(2 * m))
+    ours, twins = run_both(consistency.discount_heading, P, acc, nav, 0.0, np.zeros(2 * m))
     assert_close(ours[:2], twins[:2], 1e-14)
     assert ours[1][3, 8] / before[3, 8] == pytest.approx(share, abs=1e-5)
     np.testing.assert_array_equal(np.argwhere(ours[1] != before)[:, 1], 8)
@@ -474,15 +474,15 @@ def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change
 def test_what_has_not_moved_is_not_folded_and_nothing_changes(rows):
     rng = np.random.default_rng(12)
     m, acc = 11, np.vstack([np.eye(11), np.zeros((33, 11))])
-    assert kalman.unmoved(acc[:rows]) and naive.unmoved(acc[:rows])
+    assert kalman.is_identity(acc[:rows]) and naive.unmoved(acc[:rows])
     for i, j in [(0, 3), (5, 5), (4, 2), (rows - 1, m - 1)]:
         A = acc[:rows].copy()
         A[i, j] += 1e-9
-        assert not kalman.unmoved(A) and not naive.unmoved(A)
+        assert not kalman.is_identity(A) and not naive.unmoved(A)
     P, nav = spd(rng, 18), random_nav(rng)
     folded, _ = run_both(kalman.fold, P, acc, nav, np.zeros((m, 18)))
     dims = np.array([1, 18, m, 0, m, 0, 0, 0])
-    none, mem = np.zeros((2, 0, 0)), np.zeros(kalman.places(dims)[-1])
+    none, mem = np.zeros((2, 0, 0)), np.zeros(kalman.memory_offsets(dims)[-1])
     predicted, _ = run_both(kalman.predict, P, nav, rng.normal(size=9), acc, none, mem, dims, 0)
     np.testing.assert_array_equal(predicted[0], folded[0])
     np.testing.assert_array_equal(predicted[1], folded[2])
@@ -499,7 +499,7 @@ def test_power(count):
 def test_tick():
     rng = np.random.default_rng(3)
     ours, twins = run_both(
-        kalman.tick, spd(rng, 16), rng.normal(size=7), 11, rng.normal(size=(3, 3)), spd(rng, 3), np.zeros((3, 16))
+        kalman.advance_block, spd(rng, 16), rng.normal(size=7), 11, rng.normal(size=(3, 3)), spd(rng, 3), np.zeros((3, 16))
     )
     assert_close(ours[:2], twins[:2], 1e-14)
     np.testing.assert_array_equal(ours[0], ours[0].T)
@@ -550,7 +550,7 @@ def test_one_component_that_contradicts_the_others_is_left_out(wrong, missing, v
     """As long as more than half remain: of three readings of a plane one, of two none."""
     rng = np.random.default_rng(9)
     dims = np.array([4, 12, 9, 0, 9, 1, 2, 0])
-    at, a, n = kalman.places(dims), 4, 12
+    at, a, n = kalman.memory_offsets(dims), 4, 12
     P, mem, C = 1e-4 * spd(rng, n), np.zeros(at[-1]), np.full((a, 1), 0.1)
     mem[at[7] : at[8]] = rng.normal(size=at[8] - at[7])
     res = 0.03 * rng.normal(size=a)
@@ -591,7 +591,7 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     rng = np.random.default_rng(6)
     dims = np.array([3, 18, 11, 5, 12, 4, 1, 0])  # three axes, four error states and one parameter
     a, n, m, b, _, errors, par, _ = dims
-    at = kalman.places(dims)
+    at = kalman.memory_offsets(dims)
     assert tuple(at) == naive.places(dims)
     P, nav, x, mem = spd(rng, n), random_nav(rng), rng.normal(size=n - 9), np.zeros(at[-1])
     acc = np.vstack([np.eye(m) + 0.1 * rng.normal(size=(m, m)), spd(rng, m), np.zeros((2 * m, m))])

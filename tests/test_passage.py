@@ -211,7 +211,7 @@ def test_a_silence_of_all_sensors_longer_than_the_room_for_rows(smooth, monkeypa
 
 def compare_stretches(monkeypatch, vehicle, mission, **how):
     """A replay in which every call of `stretch` is held against that of its twin; why the calls ended."""
-    ours, compared, reasons = kernels.stretch, [], set()
+    ours, compared, reasons = kernels.run_batch, [], set()
 
     def both(*args):
         copies = [a.copy() if isinstance(a, np.ndarray) else tuple(part.copy() for part in a) for a in args]
@@ -296,7 +296,7 @@ def test_stretch_with_a_row_per_sample_is_its_twin(constants, monkeypatch):
 
 def test_prompt_is_its_twin(monkeypatch):
     """Live, with a compass that is listened to, wheels that slip, and outliers; some readings between two samples."""
-    ours, outcomes, early = kernels.prompt, [], []
+    ours, outcomes, early = kernels.correct_reading, [], []
 
     def both(hand, recent, z, read, plain, time_s, early_s, *kept):
         held, reads = naive.in_hand(hand), read.copy()
@@ -343,7 +343,7 @@ def test_prompt_is_its_twin(monkeypatch):
 
 def test_sample_is_its_twin(monkeypatch):
     """Live, with what is kept of the beginning, a clock that was set, a gap, a spike and a value that cannot be."""
-    ours, reasons, kept = kernels.sample, [], set()
+    ours, reasons, kept = kernels.propagate_sample, [], set()
 
     def both(hand, samples, before_s, offset_s, at):
         held, given = naive.in_hand(hand), samples.copy()

@@ -96,7 +96,7 @@ class Channel:
         if sensor.deviation is not None:
             turned = group.start + group.errors + sensor.deviation
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, turned])
-        at = kalman.places(self.dims)
+        at = kalman.memory_offsets(self.dims)
         self.places, self.record_size, self.size = np.array(at), at[5], at[-1] + own.content.size
 
     def prepare(self, vehicle: Vehicle, layout: Layout) -> None:
@@ -136,7 +136,9 @@ class Channel:
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
-        self.change = mem[at[4] + 1 : at[5]]  # of velocity and tilts: `kalman.turn_velocity`, `kalman.turn_tilts`
+        self.change = mem[
+            at[4] + 1 : at[5]
+        ]  # of velocity and tilts: `consistency.turn_velocity`, `consistency.turn_tilts`
         self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)

@@ -57,7 +57,7 @@ def facts_size(axes):
 
 @njit(cache=True, **UNCOUNTED)
 def _walked(dt, Cr, period_s):
-    """Variance by which the noise of accelerometers errs in a time [m^2/s^2]; Cr: see `past.drive_outputs`."""
+    """Variance by which the noise of accelerometers errs in a time [m^2/s^2]; Cr: see `delayed_state.drive_outputs`."""
     last = Cr.shape[1] - 1
     return max(Cr[3, last], Cr[4, last], Cr[5, last]) * period_s * dt
 
@@ -94,7 +94,7 @@ def _put(values, count, value):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _usual(values, count):
+def _median_square(values, count):
     """Mean of squares of normal variables, in order; 0 where they are too few."""
     if count < LEAST:
         return 0.0
@@ -121,7 +121,7 @@ def beyond(bends, axis, latest, newest, white, work):
             _put(ratios, count, row[axis] ** 2 / WHITE / max(white + row[a + axis], LEAST_VARIANCE))
             _put(slack, count, row[a + axis])
             count += 1
-    ratio = _usual(ratios, count)
+    ratio = _median_square(ratios, count)
     if ratio > NO_NOISE:
         return math.inf
     if not ratio > LARGER:
@@ -132,7 +132,7 @@ def beyond(bends, axis, latest, newest, white, work):
         if math.isfinite(row[axis]) and row[a + axis] <= middle:
             _put(squares, telling, row[axis] ** 2 / WHITE - row[a + axis])
             telling += 1
-    return min(max(_usual(squares, telling) - white, (LARGER - 1.0) * white), NO_NOISE * white)
+    return min(max(_median_square(squares, telling) - white, (LARGER - 1.0) * white), NO_NOISE * white)
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -107,7 +107,7 @@ def look(filter: FilterState) -> Iterator[Action]:
         return
     looks, gyros, now = looking(filter)
     state = memory.nav, memory.x, memory.P
-    if not batch.look_at_biases(
+    if not batch.check_gyro_biases(
         filter.bench, filter.plan, *state, memory.monitor.imu, memory.time_s, looks, gyros, now
     ):
         return
