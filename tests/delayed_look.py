@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import consistency, delayed_state, measurement, strapdown
-from navfilter.kernels.delayed_state import STEP, WINDOW_S
+from navfilter.kernels.consistency import WINDOW_S
+from navfilter.kernels.delayed_state import STEP
 from navfilter.models.sensors import Sensor
 from navfilter.models.start import Start
 

@@ -38,8 +38,7 @@ def test_public_names_are_documented(name):
 
 
 def test_what_docstrings_name_is_there():
-    """``navfilter.foundation.state_values.copied`` in a docstring leads somewhere, also after the rooms have changed.
-    """
+    """``navfilter.foundation.state_values.copied`` in a docstring leads somewhere."""
     package = Path(navfilter.__file__).parent
     named = {
         name for path in package.rglob("*.py") for name in re.findall(r"`(navfilter(?:\.\w+)+)`", path.read_text())

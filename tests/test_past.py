@@ -99,7 +99,9 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, in
     into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)
     here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
     pushes = 1e-4 * np.array([[2.0, 0.5, -0.2], [0.5, 1.0, 0.1], [-0.2, 0.1, 0.3]])
-    ours, twins = run_both(delayed_state.delayed_reading, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into)
+    ours, twins = run_both(
+        delayed_state.delayed_reading, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into
+    )
     assert_close(ours[-4:], twins[-4:], 1e-9)  # quotients over 1e-3 of rounding
     imu = nf.Imu(rate_hz=100.0)
     outputs, errors = imu.outputs(Cr, drv, xd)
@@ -149,7 +151,9 @@ def test_jacobians_of_sight_equal_finite_differences(kind, clock):
     def residual(state, par):
         near, res, H = np.zeros((a, 9 + len(par))), np.zeros(a), np.zeros((a, 9 + len(xd)))
         here = z, state.pack(), rate, par, sensor.constants(START)
-        delayed_state.delayed_reading(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a))
+        delayed_state.delayed_reading(
+            *head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a)
+        )
         return near, res
 
     if kind == "position":

@@ -135,8 +135,8 @@ def believed(sensor: Sensor, group: Group) -> Array:
 
 
 def delayed_facts(sensor: Sensor, start: Start) -> Array | None:
-    """What `navfilter.kernels.delayed_state.delayed_reading` needs to know of a sensor whose lever arm or clock are states
-    (`Sensor.place_and_clock`); None where they are not.
+    """What `navfilter.kernels.delayed_state.delayed_reading` needs to know of a sensor whose lever arm or clock are
+    states (`Sensor.place_and_clock`); None where they are not.
     """
     if not sensor.place_and_clock():
         return None

@@ -15,7 +15,7 @@ from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.channel_model import ChannelModel, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.kernels import batch, delayed_state, kalman
+from navfilter.kernels import batch, consistency, kalman
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
@@ -53,7 +53,7 @@ class Channel:
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self._delayed, self.lead_s = delayed_facts(sensor, start), sensor.lead_s
         self.past_s = (
-            self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + delayed_state.WINDOW_S * any(sensor.lever_arm_sd_m)
+            self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + consistency.WINDOW_S * any(sensor.lever_arm_sd_m)
         )
         self.moves, self.turns = sensor.observes.in_body_axes, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for

@@ -79,7 +79,8 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 # its period; up to which value readings are taken as they are; without a fix for how long its vehicle has dived; what a
 # tilt turns into acceleration, and from when on it is learnt from readings (see `listen`); ticks of the last reading.
 CHANNEL, KEPT_AS, TICK_S, LARGEST, DIVE_S, TILTED, LEARNT_S, TICKED, FACTS_SIZE = range(9)
-# So many arrays are handed to `correct_reading`, and to `propagate_sample`, by where they stand; which of these is what is kept.
+# So many arrays are handed to `correct_reading`, and to `propagate_sample`, by where they stand; which of these is what
+# is kept.
 HAND, HELD_FOR_SAMPLES, PIECE = 19, 15, 13
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
@@ -430,7 +431,7 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
             end = min(end, begin + max(1, felt - int(drv[strapdown.COUNT])))
         if w.shape[0] > 0:
             steps = settings[INCREMENTS] > 0.0
-            end = begin + imu_checks.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
+            end = begin + imu_checks.check_samples(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
         block = samples[begin:end]
         addresses.at_steps(spot[STEPS], (nav, xd, drv, block, Phid, Qd, Cr, acc, trace[: end - begin]))
         if recent.shape[0] > 0:
@@ -470,11 +471,10 @@ def propagate_sample(hand, samples, before_s, offset_s, at):
     """One sample live, by the same kernels as those of a replay in `run_batch`: `DONE`, or `HEED` where the watch
     over the drive has found something; `REFUSED`, and nothing has been done, where it does not follow the last one.
 
-    hand (HELD_FOR_SAMPLES, 3): where arrays stand, as for `correct_reading`. spans: silence that is a gap, silence that is
-    in doubt, period; limits: of its values; sd, ends: standard deviations and limits by which the watch looks;
-    piece: the last one of the samples that are kept, and in which row of it this one is (-1: none are kept).
-    samples (1, 7): stamp and values, as they came; before_s: stamp of the last one, moved by `offset_s`, as this
-    one will be.
+    hand (HELD_FOR_SAMPLES, 3): where arrays stand, as for `correct_reading`. spans: silence that is a gap, silence that
+    is in doubt, period; limits: of its values; sd, ends: standard deviations and limits by which the watch looks;
+    piece: the last one of the samples that are kept, and in which row of it this one is (-1: none are kept). samples
+    (1, 7): stamp and values, as they came; before_s: stamp of the last one, moved by `offset_s`, as this one will be.
     """
     nav = flat(standing(hand, 0, np.float64))
     x = flat(standing(hand, 1, np.float64))
@@ -503,7 +503,7 @@ def propagate_sample(hand, samples, before_s, offset_s, at):
             piece[at, j] = samples[0, j]
     steps = drv[strapdown.INCREMENTS] > 0.0
     if w.shape[0] > 0:
-        imu_checks.look(samples, w, sd, ends, period_s, steps)
+        imu_checks.check_samples(samples, w, sd, ends, period_s, steps)
     spot, xd = plan[plan.shape[0] - 1], x[: acc.shape[1] - 9]
     addresses.at_steps(spot[STEPS], (nav, xd, drv, samples, Phid, Qd, Cr, acc, acc[:0]))
     news = w.shape[0] > 0 and w[imu_checks.UNIT, imu_checks.NEWS] != 0.0
@@ -639,7 +639,9 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     cursor = flat(standing(hand, 18, np.int64))
     i = int(facts[CHANNEL])
     own = plan[i]
-    if (plain and not _plain_reading(z, facts[LARGEST], read)) or not _is_in_order(bench, plan, i, time_s, facts[DIVE_S]):
+    if (plain and not _plain_reading(z, facts[LARGEST], read)) or not _is_in_order(
+        bench, plan, i, time_s, facts[DIVE_S]
+    ):
         return REFUSED, 0.0, 0, 0.0
     a, errors, verdict = own[0], own[5], own[MEM] + own[VERDICT]
     noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
@@ -676,7 +678,9 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
             undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED]
         )
         learning = time_s >= facts[LEARNT_S]
-        if kind != open_loop_residual.NOTHING and open_loop_residual.after_reading(ear, note[0], note[1], count, learning):
+        if kind != open_loop_residual.NOTHING and open_loop_residual.after_reading(
+            ear, note[0], note[1], count, learning
+        ):
             return LEARN, note[0], int(note[1]), ear[open_loop_residual.NIS]
     return DONE, note[0], int(note[1]), ear[open_loop_residual.NIS]
 
@@ -727,13 +731,13 @@ def _described_nis(bench, own, P, nav, Cr, t, kept, facts, w):
         busy |= w[j, imu_checks.HEEDED] > imu_checks.NOISY
     mine, mem = kept[: noise_scale.LAST + 3 * a + 2 * a * noise_scale.MOST], bench[own[MEM] : own[CONSTANTS]]
     R, S = shaped(bench[own[NOISE] : own[NOISE] + a * a], a, a), own[RECORD]
-    return noise_scale.heard(mine, facts, mem, S, own[VERDICT], R, own[NORTH], P, nav, Cr, t, busy)
+    return noise_scale.update_scale(mine, facts, mem, S, own[VERDICT], R, own[NORTH], P, nav, Cr, t, busy)
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
 def check_gyro_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
-    """A look at the biases of the gyros after a reading, see `navfilter.kernels.bias_drift.keep`.
+    """A look at the biases of the gyros after a reading, see `navfilter.kernels.bias_drift.compare_estimates`.
 
     w: what the watch over the drive remembers; time_s: of the state; now (COLUMNS,): receives the look, but for how
     often the attitude has been set anew, which stands there.
@@ -769,7 +773,7 @@ def check_gyro_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
     for i in range(w.shape[0] - 1):
         calm = calm and w[i, imu_checks.HEEDED] <= imu_checks.NOISY
     calm = calm and w[imu_checks.UNIT, imu_checks.OFF_S] == 0.0
-    return bias_drift.keep(looks, now, gyros, x, P, calm)
+    return bias_drift.compare_estimates(looks, now, gyros, x, P, calm)
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)
@@ -849,7 +853,7 @@ def run_batch(
         own, variance = plan[i], variances[min(e, variances.shape[0] - 1)]
         verdict, a = own[MEM] + own[VERDICT], own[0]
         if scatters:
-            noise_scale.widen(kept[i], facts[i], variance, a)
+            noise_scale.widen_variance(kept[i], facts[i], variance, a)
             variance = facts[i, noise_scale.BY_AXIS + 2 * a : noise_scale.BY_AXIS + 3 * a]
         recent = samples_before[cursor[NEWEST] : cursor[NEWEST] + known]
         times_of = t, now[TIME_S], mine[WAIT_S], mine[CHANNEL_PERIOD_S], holds

@@ -318,12 +318,12 @@ def delayed_reading(
     A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
     with respect to it is minus that of the reading with time, as the drive felt it then.
 
-    equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `dead_reckoning_motion`; facts: of the
-    sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-    drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3):
-    see `consistency.acceleration_covariance`. H (a, n) receives the derivatives with respect to the drive's states (a
-    bias bends the way back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does
-    beyond that.
+    equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `dead_reckoning_motion`; facts: of
+    the sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
+    drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3): see
+    `consistency.acceleration_covariance`. H (a, n) receives the derivatives with respect to the drive's states (a bias
+    bends the way back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond
+    that.
     """
     sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + len(z) + 2 * len(cfg) + 6 * len(xd)
     work = flat(scratch(np.float64, int(1), ROOM + sizes))

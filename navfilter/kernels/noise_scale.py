@@ -106,7 +106,7 @@ def _median_square(values, count):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def beyond(bends, axis, latest, newest, white, work):
+def excess_variance(bends, axis, latest, newest, white, work):
     """What a sensor scatters by beyond its variance in one axis: 0 where it does not, or where nobody can tell.
 
     bends (`MOST`, 2a): second differences of its readings, NaN where a component was missing, then what else than its
@@ -163,7 +163,7 @@ def _by_description(mem, S, note, excess, work):
 
 
 @njit(cache=True, **UNCOUNTED)
-def widen(kept, facts, variance, axes):
+def widen_variance(kept, facts, variance, axes):
     """Put the white variances of a reading, with what its sensor scatters by beyond them, into their room in `facts`;
     `variance`: its own, NaN for those of the error model.
     """
@@ -174,7 +174,7 @@ def widen(kept, facts, variance, axes):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
+def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
     """Take a reading, as its correction left it, and return its NIS by the description of its sensor.
 
     kept, facts: as described at the head of this file; mem: working memory of its channel, in which its S and what its
@@ -228,9 +228,9 @@ def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
         plain[i] = R[i, i] - (excess[i] if added else 0.0)
         if facts[LASTING] == 0.0:
             plain[i] += (facts[BY_AXIS + i] + slack) * STEP / WHITE
-        found |= beyond(bends, i, min(count, ENDS), newest, plain[i], work) != 0.0
+        found |= excess_variance(bends, i, min(count, ENDS), newest, plain[i], work) != 0.0
     for i in range(a):
-        excess[i] = beyond(bends, i, count, newest, plain[i], work) if found else 0.0
+        excess[i] = excess_variance(bends, i, count, newest, plain[i], work) if found else 0.0
     found = False
     for i in range(a):
         found |= excess[i] != 0.0

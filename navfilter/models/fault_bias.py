@@ -91,8 +91,7 @@ def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
 
 
 def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
-    """Whether an `FaultBias` among the error models of a sensor wanders: that of one that has jumped by about itself.
-    """
+    """Whether a `FaultBias` among the error models of a sensor wanders: that of one that has jumped by about itself."""
     each = models if isinstance(models, tuple) else (models,)
     return any(isinstance(part, FaultBias) and part.density > 0.0 for model in each for part in _parts(model))
 

@@ -206,7 +206,9 @@ class MeasurementFastPath:
             place = kept.samples.count, kept.readings.count, kept.values.count
         if size == self._plain_size:
             read = self._plain
-            why, nis, dof, mean_nis = batch.correct_reading(hand, memory.recent, z, read, True, time_s, memory.time_s, *place)
+            why, nis, dof, mean_nis = batch.correct_reading(
+                hand, memory.recent, z, read, True, time_s, memory.time_s, *place
+            )
         if why == batch.REFUSED:
             asked = self._read(z)
             if asked is None:
@@ -214,7 +216,9 @@ class MeasurementFastPath:
             read = asked
             if kept is not None and not kept.has_room(size):
                 place, full = _NOT_KEPT, True
-            why, nis, dof, mean_nis = batch.correct_reading(hand, memory.recent, z, read, False, time_s, memory.time_s, *place)
+            why, nis, dof, mean_nis = batch.correct_reading(
+                hand, memory.recent, z, read, False, time_s, memory.time_s, *place
+            )
             if why == batch.REFUSED:
                 return None
         # ---- from here on it is taken

@@ -45,7 +45,7 @@ from navfilter.kernels.bias_drift import (
     NIS,
     TIME_S,
     VARIANCE,
-    farthest,
+    largest_change,
 )
 
 __all__ = ["due_s", "fresh", "gyros", "look", "looking", "shifted"]
@@ -198,7 +198,7 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
         Their variances at the start.
     """
     least = FLOOR**2 * begin
-    if farthest(looks, now, walk, least) <= LIMIT:
+    if largest_change(looks, now, walk, least) <= LIMIT:
         return []
     moved, added = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE], walk * (now[TIME_S] - looks[:, [TIME_S]])
     lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)
