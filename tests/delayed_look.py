@@ -1,5 +1,5 @@
 """Readings of a sensor whose lever arm and clock are states, as NumPy: a twin of
-`navfilter.kernels.delayed_state.sight`.
+`navfilter.kernels.delayed_state.delayed_reading`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.kernels import delayed_state, measurement, strapdown
-from navfilter.kernels.delayed_state import STEP, WINDOW_S
+from navfilter.kernels import consistency, delayed_state, measurement, strapdown
+from navfilter.kernels.consistency import WINDOW_S
+from navfilter.kernels.delayed_state import STEP
 from navfilter.models.sensors import Sensor
 from navfilter.models.start import Start
 
@@ -85,7 +86,7 @@ class Sight:
         drive : (ndarray, ndarray)
             Its memory, and (6, k + 1) with the white variances of its values in the last column.
         variances : (float, ndarray)
-            Of the clock [s^2], and of the acceleration, see ``past.pushed``.
+            Of the clock [s^2], and of the acceleration, see ``consistency.acceleration_covariance``.
         into : tuple of ndarray, shapes (axes, k), (axes, 9 + states), (axes,), (axes, axes)
             Receive the derivatives with respect to the drive's states (a bias bends the way back), those of the kernel,
             and the residual; the white covariance grows by what the clock's error does beyond that.
@@ -96,7 +97,7 @@ class Sight:
         inner, kind = self._inner, par[:own]
         if self.clock:
             late_s, now = since_s + float(par[-1]), nav
-            slope_s = delayed_state.slope_s(variances[0])
+            slope_s = delayed_state.slope_window_s(variances[0])
             given = self._then, self._turn, self._slope, self._B
             over_s = measurement.earlier(nav, *moved, late_s, WINDOW_S, slope_s, *given)
             nav, rate = self._then, self._turn[:3]
@@ -107,12 +108,12 @@ class Sight:
             near[:, -1] = -(inner[:, :9] @ self._slope[0])
             if moved[1]:
                 H[:] = inner[:, :9] @ by_drive(now, nav, self._B, late_s, outputs)
-        # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
+        # what is not read has slopes, too: by how much it is known is asked, see `consistency.limit_unread_slopes`
         whole, base, ends = np.where(np.isnan(z), 0.0, z), np.empty_like(res), self._ends
         if self.arm:
             told = self._turn[:3].copy()
             if not self.clock:
-                delayed_state.lately(moved[0], told)
+                delayed_state.mean_rate(moved[0], told)
             steady, drv = nav.copy(), drive[0]
             if not drv[strapdown.INERTIAL]:
                 # the attitude is a reading: what it errs by is in the position, too, see ``strapdown._steady``
@@ -127,7 +128,7 @@ class Sight:
             self.kernel(whole, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
             near[:, -1] -= (base - ends) / STEP
         if self.clock:
-            delayed_state.discount(
+            consistency.discount_clock(
                 inner, self._slope, self._then, *drive, over_s, moved[1], *variances, self.facts[3], near, R
             )
 

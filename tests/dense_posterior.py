@@ -17,7 +17,7 @@ from navfilter.filter import filter as engine
 from navfilter.filter import python_update
 from navfilter.filter.records import triangle
 from navfilter.filter.rts_smoother import smooth_rows
-from navfilter.kernels import batch, kalman
+from navfilter.kernels import batch, consistency, kalman
 
 DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
@@ -47,7 +47,7 @@ class Capture:
 
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
-        self.places = kalman.places
+        self.places = kalman.memory_offsets
         for module in (engine, python_update):
             monkeypatch.setattr(module, "kalman", self)
         self.tape = nf.Tape()
@@ -101,7 +101,7 @@ class Capture:
         """Of the single samples the first takes it: the heading's error is one from the fold before on."""
         m = acc.shape[1]
         before = acc[:m].copy()
-        kalman.discount_heading(P, acc, nav, own, work)
+        consistency.discount_heading(P, acc, nav, own, work)
         if self._single:
             X, (F, Q) = np.eye(m), self._single[0]
             X[:9, 8] += np.linalg.solve(before[:9, :9], acc[:9, 8] - before[:9, 8])
@@ -124,20 +124,20 @@ class Capture:
         return Q
 
     def turns_along(self, P, north, east):
-        return kalman.turns_along(P, north, east)
+        return consistency.turns_with_heading(P, north, east)
 
     def turn_velocity(self, P, nav, before, change):
-        kalman.turn_velocity(P, nav, before, change)
+        consistency.turn_velocity(P, nav, before, change)
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.velocity_turn(change[:3], self.n) @ chain[-1].G
 
     def turn_tilts(self, P, K, res, change):
-        kalman.turn_tilts(P, K, res, change)
+        consistency.turn_tilts(P, K, res, change)
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.tilts_turn(change, self.n) @ chain[-1].G
 
     def turn_current(self, P, K, res, first):
-        kalman.turn_current(P, K, res, first)
+        consistency.turn_current(P, K, res, first)
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.current_turn(K, res, first) @ chain[-1].G
 
@@ -153,7 +153,7 @@ class Capture:
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
 
     def update(self, P, nav, x, C, R, mem, dims, limits):
-        at, a, n = kalman.places(dims), dims[0], dims[1]
+        at, a, n = kalman.memory_offsets(dims), dims[0], dims[1]
         before = P.copy()
         kalman.update(P, nav, x, C, R, mem, dims, limits)
         if not mem[at[8] + 2]:

@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from navfilter.kernels import strapdown as strapdown_kernels
 from navfilter.kernels.compiling import addresses
-from navfilter.kernels.compiling.decorators import standing
 
 # ---------------------------------------------------------------- kernels/arma.py: one online step (no gaps, no guard)
 
@@ -813,28 +812,29 @@ def velocity(z, nav, rate, par, cfg, H, res):
 # --- kernels/kalman.py: errors here are true minus estimated
 
 
-def bend(before, after):
-    """What the second order of the heading adds to the position, by its first order before and after."""
+def arc_term(P, head):
+    before, after = P[:2, 8], head[:2, 8]
     grown, across = after @ after - before @ before, np.array([after[1], -after[0]])
-    return 0.75 * grown * np.outer(across, across) / (after @ after) if grown > 0.0 else np.zeros((2, 2))
+    if grown > 0.0:
+        head[:2, :2] += 0.75 * grown * np.outer(across, across) / (after @ after)
 
 
 def fold(P, acc, nav, T):
     m, n, before = acc.shape[1], len(P), P.copy()
     Phi = block_diag(acc[:m], np.eye(n - m))
     P[:] = Phi @ P @ Phi.T
-    P[:2, :2] += bend(before[:2, 8], P[:2, 8])
+    arc_term(before, P)
     P[:m, :m] += 0.5 * (acc[m : 2 * m] + acc[m : 2 * m].T)
     acc[:m], acc[m : 2 * m] = np.eye(m), 0.0
     C = nav[6:15].reshape(3, 3)
     nav[6:15] = (C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)).ravel()
 
 
-def unmoved(A):
+def is_identity(A):
     return np.array_equal(A, np.eye(*A.shape))
 
 
-def turns_along(P, velocity):
+def turns_with_heading(P, velocity):
     across = np.array([-velocity[1], velocity[0]])
     return P[3:5, 8] @ across >= 0.5 * P[8, 8] * across @ across
 
@@ -846,7 +846,7 @@ def discount_heading(P, acc, nav, own, work=None):
     J[:, 8] = 0.0
     variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]
     square = np.sum(acc[3:5, 8] ** 2)
-    if own > 1 or (own and turns_along(P, nav[3:5] - [acc[4, 8], -acc[3, 8]])):
+    if own > 1 or (own and turns_with_heading(P, nav[3:5] - [acc[4, 8], -acc[3, 8]])):
         return
     acc[[0, 1, 3, 4], 8] *= 1.0 - variance / square if square > variance else 0.0
 
@@ -866,7 +866,7 @@ def power(Phi, Q, count, W):
         W[0], W[1] = Phi @ W[0], Phi @ W[1] @ Phi.T + Q
 
 
-def tick(P, x, start, A, B, T):
+def advance_block(P, x, start, A, B, T):
     here = slice(start, start + len(A))
     Phi = np.eye(len(P))
     Phi[here, here] = A
@@ -884,6 +884,36 @@ def innovation(P, H, res, R, S, PH, out):
     S[:a] += np.where(np.eye(a) > 0, np.diag(own), np.where(missing | missing[:, None], 0.0, R))
     S[a:] = np.linalg.inv(S[:a])
     out[0], out[1] = res @ S[a:] @ res, np.sum(~missing)
+
+
+def reset_heading(M, half):
+    G = attitude_reset(2.0 * half, len(M))
+    M[:] = G @ M @ G.T
+
+
+def reset_tilts(M, p, q):
+    G = tilts_turn(np.array([2.0 * p, 2.0 * q]), len(M))
+    M[:] = G @ M @ G.T
+
+
+def add_turned(M, first, of, x, y, z):
+    G = np.eye(len(M))
+    G[first : first + 3, of : of + 3] -= skew(np.array([x, y, z]))
+    M[:] = G @ M @ G.T
+
+
+def turn_back(L, lam, by, first):
+    G = np.eye(len(L))
+    G[first : first + len(by), 8] = by
+    L[:], lam[:] = G.T @ L @ G, G.T @ lam
+
+
+def deviation_change(K, res, first):
+    return deviation_turn(K, res, first)[first : first + 4, 8]
+
+
+def current_change(K, res, first):
+    return current_turn(K, res, first)[first : first + 2, 8]
 
 
 def attitude_reset(turn, n):
@@ -962,7 +992,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T=None):
     P[:] = G @ P @ G.T
 
 
-def places(dims):
+def memory_offsets(dims):
     a, n, m, b, _, _, par = dims[:7]
     sizes = [
         m * m + b * b,
@@ -980,7 +1010,7 @@ def places(dims):
     return tuple(np.cumsum(sizes))
 
 
-def note(acc, mem):
+def store_transition(acc, mem):
     mem[: acc[0].size ** 2] = acc[: acc[0].size].ravel()
 
 
@@ -991,12 +1021,12 @@ def predict(P, nav, x, acc, model, mem, dims, count):
         W = np.zeros((2, b, b))
         power(model[0], model[1], count, W)
         mem[m * m : m * m + b * b] = W[0].ravel()
-        tick(P, x, start, W[0], W[1], None)
+        advance_block(P, x, start, W[0], W[1], None)
 
 
 def update(P, nav, x, C, R, mem, dims, limits):
     a, n, m, _, start, errors, par = dims[:7]
-    at = places(dims)
+    at = memory_offsets(dims)
     H, K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
     S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7]].reshape(a, n)
     near, res = mem[at[7] : at[8]].reshape(a, 9 + par), mem[at[3] : at[4]]
@@ -1251,7 +1281,7 @@ def damped_steps(theta, gradient, info, dampings, sizes, converged, longest, mov
 # ---------------------------------------------------------------- kernels/listen.py: what an open loop would have read
 
 
-def carry(undone, Phi):
+def carry_feedback(undone, Phi):
     """Position, velocity and acceleration fed back, a chain of integrators; heading and the drive's states by Phi."""
     m, dt = len(Phi), Phi[0, 3]
     p, v, v_b, a, a_b = undone[:3], undone[3:6], undone[m : m + 3], undone[m + 3 : m + 6], undone[m + 6 : m + 9]
@@ -1260,7 +1290,7 @@ def carry(undone, Phi):
     undone[9:m] = Phi[9:, 9:] @ undone[9:m]
 
 
-def attend(ear, nis, dof, ticks, learning):
+def after_reading(ear, nis, dof, ticks, learning):
     """ear: kind, noted, capacity, due, watched, share, nis, judged, usual, mount. True: a change, or ticks enough."""
     ear[1] += len(range(int(ear[2]))[: max(ticks - 1, 0)]) + 1
     watched = learning and ear[4] and dof and np.isfinite(nis)
@@ -1269,13 +1299,13 @@ def attend(ear, nis, dof, ticks, learning):
     return bool(watched and ear[1] >= ear[7] and not 0.4 < ear[6] / ear[8] < 2.0) or bool(learning and ear[1] >= ear[3])
 
 
-def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
+def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     a, n, m, _, start, errors, par = dims[:7]
     at, capacity = places, ring.shape[1]
     K, res, near = mem[at[1] : at[2]].reshape(n, a), mem[at[3] : at[4]], mem[at[7] : at[8]].reshape(a, 9 + par)
     used, C_nb, own = mem[at[8] + 2] != 0, nav[6:15].reshape(3, 3), slice(start, start + errors)
     (still, late_s, clock, _, asked), axes = mount[:5], mount[5:].reshape(-1, 3)
-    carry(undone, mem[: m * m].reshape(m, m))
+    carry_feedback(undone, mem[: m * m].reshape(m, m))
     d = K @ res * used
     if asked:
         off, variance = mem[at[8] + 3 :][:a], mem[at[8] + 3 + a :][:a]
@@ -1493,7 +1523,7 @@ def _displace(nav, d):
     nav[15:17] -= d[2]
 
 
-def look(samples, w, sd, limits, period_s, increments):
+def check_samples(samples, w, sd, limits, period_s, increments):
     unit = w[6]
     unit[1] = 0.0
     for n, (dt, *values) in enumerate(samples):
@@ -1588,7 +1618,7 @@ def is_within(x, P, at, mean, variance, limit):
     return off @ off < limit * told[told > 0.0].sum()
 
 
-def told_since(x, P, at, estimate, covariance, least, now, lost):
+def information_since(x, P, at, estimate, covariance, least, now, lost):
     now[0], now[1:] = x[at - 9], P[np.ix_(at, at)]
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     told, axes = np.linalg.eigh((covariance - now[1:]) / np.outer(sd, sd))
@@ -1596,7 +1626,7 @@ def told_since(x, P, at, estimate, covariance, least, now, lost):
     return np.sum(change[counts] ** 2 / told[counts]), counts.sum()
 
 
-def farthest(looks, now, walk, begin):
+def largest_change(looks, now, walk, begin):
     added = walk * (now[0] - looks[:, [0]])
     lost = np.maximum(looks[:, 7:10] + added - now[7:10], 0.0)
     nis = np.cumsum([now[10], *looks[::-1, 10]])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
@@ -1604,28 +1634,28 @@ def farthest(looks, now, walk, begin):
     return np.nan_to_num(moved).max()
 
 
-def keep(looks, now, gyros, x, P, calm):
+def compare_estimates(looks, now, gyros, x, P, calm):
     if gyros.size:
         places, before = gyros[0].astype(int), looks[-1].copy()
         now[4:7], now[7:10] = x[places - 9], P[places, places]
         most = before[7:10] + gyros[1] * (now[0] - before[0])
         if not (calm and now[3] == before[3] and np.all(now[7:10] <= 1.001 * most)):
             looks[:] = np.nan
-        if farthest(looks, now, gyros[1], gyros[2]) > 36.0:
+        if largest_change(looks, now, gyros[1], gyros[2]) > 36.0:
             return True
     looks[:] = np.vstack([looks[1:], now])
     return False
 
 
-def carry_jumps(bank, Phi):
+def propagate_jumps(bank, Phi):
     m = len(Phi)
     bank[:-2, :m] = bank[:-2, :m] @ Phi.T
 
 
-def hear_jumps(bank, mem, dims, at, offset, says):
+def update_jumps(bank, mem, dims, at, offset, says):
     a, n, m, b, start = dims[:5]
     f, d, c = bank[:-2, :n], bank[:-2, n], bank[:-2, n + 1]
-    carry_jumps(bank, mem[: m * m].reshape(m, m))
+    propagate_jumps(bank, mem[: m * m].reshape(m, m))
     f[:, start : start + b] = f[:, start : start + b] @ mem[m * m : m * m + b * b].reshape(b, b).T
     H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + a * n].reshape(n, a)
     inverse = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a)
@@ -1683,7 +1713,7 @@ def inertial_motion(recent, nav, drv, errors, rows, gravity_):
     gravity_[0] = gravity(nav[0], nav[2])
 
 
-def reckoned_motion(recent, nav, drv, errors, rows, gravity_):
+def dead_reckoning_motion(recent, nav, drv, errors, rows, gravity_):
     rows[:], gravity_[0], count = 0.0, 0.0, np.count_nonzero(recent[:, 0])
     for i, (now, before) in enumerate(itertools.pairwise(recent[:count])):
         (roll, pitch, yaw), (r, p, _) = (now - before + np.pi)[1:4] % (2 * np.pi) - np.pi, now[1:4]
@@ -1698,22 +1728,22 @@ def reckoned_motion(recent, nav, drv, errors, rows, gravity_):
         rows[0] = np.concatenate([drv[12:13], drv[143:146], force])
 
 
-def slope_s(variance):
+def slope_window_s(variance):
     return max(1.0, 2.0 * np.sqrt(3.0 * variance))
 
 
-def lately(rows, rate):
+def mean_rate(rows, rate):
     rows = rows[2:]
     rows = rows[: np.argmax(rows[:, 0] <= 0.0)] if (rows[:, 0] <= 0.0).any() else rows
     rows = rows[np.concatenate([[0.0], np.cumsum(rows[:, 0])[:-1]])[: len(rows)] < 0.2]
     rate[:] = rows[:, 0] @ rows[:, 1:4] / max(rows[:, 0].sum(), 1e-9)
 
 
-def lanes(count):
+def register_room(count):
     return -(-count // 8) * 8
 
 
-def keep_constants(P, x, at, kept):
+def store_constants(P, x, at, kept):
     count, most = len(kept) - 1, kept.shape[1]
     first = min(at, len(P) - most)
     kept[0, :count], kept[1:] = x[at - 9 :][:count], P[at : at + count, first : first + most]
@@ -1725,20 +1755,20 @@ def consider(P, x, kept, at, untold):
     P[np.ix_(at + these, at + these)] = kept[np.ix_(1 + these, at - first + these)]
 
 
-def withhold(P, x, near, kept, own, at, drv, Cr, untold):
+def consider_lever_arm(P, x, near, kept, own, at, drv, Cr, untold):
     if drv[strapdown_kernels.INERTIAL]:
         least = 15.0**2 * Cr[:3, -1].max() * min(1.0, drv[36] / 0.2)
         untold[:] = np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least
         consider(P, x, kept, at, untold)
 
 
-def withhold_hidden(P, x, H, K, kept, at, untold):
+def consider_hidden(P, x, H, K, kept, at, untold):
     before = np.diag(kept[1:, at - min(at, len(P) - kept.shape[1]) :])
     untold[:] = before - np.diag(P)[at:][: len(untold)] < 100.0 * np.trace(H @ K) * before**2
     consider(P, x, kept, at, untold)
 
 
-def pushed(P, nav, drv, Cr, pushes, work):
+def acceleration_covariance(P, nav, drv, Cr, pushes, work):
     pushes[:] = 0.0
     if drv[strapdown_kernels.INERTIAL]:
         down, C = np.array([0.0, 0.0, gravity(nav[0], nav[2])]), nav[6:15].reshape(3, 3)
@@ -1746,7 +1776,7 @@ def pushed(P, nav, drv, Cr, pushes, work):
         pushes[:] = J @ P[6 : 9 + k, 6 : 9 + k] @ J.T
 
 
-def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
+def discount_clock(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
     white = Cr[:, -1] * (drv[36] / over_s if gravity else 2.0 / max(over_s, drv[36]) ** 2)
     C = then[6:15].reshape(3, 3)
     turned, pushed = inner[:, 6:9] @ C, inner[:, 3:6] @ C
@@ -1760,7 +1790,7 @@ def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, sha
     R += np.diag(np.where(np.isnan(told), 0.0, more))
 
 
-def sight(
+def delayed_reading(
     equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
 ):
     arm, clock, turns, shared, *by_arm = facts
@@ -1782,7 +1812,7 @@ def sight(
     else:
         late_s = since_s + par[-1]
         then, turn, slope, B = np.zeros(17), np.zeros(6), np.zeros((2, 9)), np.zeros((9, 9))
-        over_s = earlier(nav, rows, g[0], late_s, 0.2, slope_s(variance), then, turn, slope, B)
+        over_s = earlier(nav, rows, g[0], late_s, 0.2, slope_window_s(variance), then, turn, slope, B)
         rate = turn[:3]
         ask(then, rate, np.zeros(3), res, z)
         near[:, : 9 + own] = inner
@@ -1797,7 +1827,7 @@ def sight(
     if arm:
         told = rate.copy()
         if not clock:
-            lately(rows, told)
+            mean_rate(rows, told)
         steady = then.copy()
         if not drv[strapdown_kernels.INERTIAL]:
             steady[6:15] = drv[169:178]
@@ -1811,10 +1841,10 @@ def sight(
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
         near[:, -1] -= (base - ends) / 1e-3
     if clock:
-        discount(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, shared, near, R)
+        discount_clock(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, shared, near, R)
 
 
-def hold_slopes(P, near, held, begin, first, turned):
+def limit_velocity_slopes(P, near, held, begin, first, turned):
     at = np.r_[:9, first : first + begin]
     known = np.diag(near[:, : 9 + begin] @ P[np.ix_(at, at)] @ near[:, : 9 + begin].T)
     band = 3.0 * np.sqrt(max(0.0, np.max(known)) + turned)
@@ -1822,7 +1852,7 @@ def hold_slopes(P, near, held, begin, first, turned):
     new[:] = np.where(np.abs(new - held) <= band, 0.98 * held + 0.02 * new, new)
 
 
-def hold_unread(P, near, res, first):
+def limit_unread_slopes(P, near, res, first):
     read = np.isfinite(res)
     if len(res) != 3 or read.all():
         return read.sum() >= 3
@@ -1837,7 +1867,7 @@ def hold_unread(P, near, res, first):
     return False
 
 
-def hold_clock(P, near, held, column):
+def limit_clock_slope(P, near, held, column):
     sd = np.sqrt(np.maximum(np.diag(near[:, :3] @ P[3:6, 3:6] @ near[:, :3].T), 0.0))
     new = near[:, column].copy()
     near[:, column] = np.where((sd > 0.0) & (np.abs(new - held) <= 3.0 * sd), 0.998 * held + 0.002 * new, new)
@@ -1853,31 +1883,31 @@ def _moments(bend):
     return 0.5 * np.trace(bend @ bend) + 0.25 * np.trace(bend) ** 2
 
 
-def range_bend(z, near, P, first, cfg, R):
+def range_second_order(z, near, P, first, cfg, R):
     apart, place = np.hstack([np.eye(3), np.zeros((3, len(P) - 3))]), int(cfg[7])
     if place >= 0:
         apart[:, first + place + 3 * int(z[1]) :][:, :3] = -np.eye(3)
     R[0, 0] += max(1.0, cfg[-1] * z[0]) * _sagitta(near[0, :3], z[0], apart @ P @ apart.T)
 
 
-def deviation_bend(z, near, P, first, cfg, R):
+def deviation_second_order(z, near, P, first, cfg, R):
     sin, cos, sin2, cos2 = near[0, 10:14]
     turns, at = np.array([cos, -sin, 2 * cos2, -2 * sin2]), slice(first + 1, first + 5)
     R[0, 0] += cfg[4] * (turns @ P[at, at] @ turns * P[8, 8] + (turns @ P[at, 8]) ** 2)
 
 
-def tilt_bend(z, near, P, first, cfg, R):
+def tilt_second_order(z, near, P, first, cfg, R):
     across = near[0, 6:8]
     both = np.array([across, [across[1], -across[0]]])  # what a tilt does to the azimuth, and to the length
     (aa, ab), (_, bb) = both @ P[6:8, 6:8] @ both.T
     R[0, 0] += cfg[5] * (aa * bb + 2.0 * ab**2 + 15.0 / 4.0 * aa**3)
 
 
-def iron_bend(z, near, P, first, cfg, R):
+def iron_second_order(z, near, P, first, cfg, R):
     m, hard, soft = z[:3], int(cfg[2]), int(cfg[3])
-    tilt_bend(z, near, P, first, cfg, R)
+    tilt_second_order(z, near, P, first, cfg, R)
     if 0 not in (hard, soft):
-        deviation_bend(z, near, P, first, cfg, R)
+        deviation_second_order(z, near, P, first, cfg, R)
     x, y, w = m
 
     def by_soft(q):
@@ -1906,7 +1936,7 @@ def iron_bend(z, near, P, first, cfg, R):
     R[0, 0] += cfg[5] * (S[0, 0] * S[1, 1] + 2.0 * S[0, 1] ** 2) / h**4
 
 
-def usbl_bend(z, near, P, first, cfg, R):
+def usbl_second_order(z, near, P, first, cfg, R):
     sight_, P = near[0, :3] / np.linalg.norm(near[0, :3]), P[:3, :3]
     distance = z[0] if np.isfinite(z[0]) else 1.0 / np.linalg.norm(near[1, :3])
     shared = max(1.0, cfg[-1] * distance)
@@ -1916,17 +1946,37 @@ def usbl_bend(z, near, P, first, cfg, R):
         R[k, k] += shared * _moments((both + both.T) / distance @ P)
 
 
-# ---------------------------------------------------------------- stretch
+# ---------------------------------------------------------------- symmetric
+def copy(of, to):
+    to[:] = of[: to.size]
+
+
+def mirror_columns(T, M, rows, begin):
+    M[:rows, begin:] = T[:rows, begin:]
+    M[begin:, :rows] = M[:rows, begin:].T
+
+
+def symmetrise(M, first):
+    block = M[first : first + 3, first : first + 3]
+    block[:] = (block + block.T) / 2.0
+
+
+def mirror_rows(M, first, last):
+    others = np.r_[:first, last : len(M)]
+    M[others, first:last] = M[first:last, others].T
+
+
+# ---------------------------------------------------------------- batch
 def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
     a, n, m, b, start, errors, par, _ = dims = spot[:8]
     equation, seen, motion, bend, moves, turns, reads_rate = spot[8:15]
     begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[15:26]
     held_from, held_to = spot[29:31]
-    mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
+    mem, places_, xd = bench[begin:cfg], memory_offsets(dims), x[: m - 9]
     if drv[126]:
         discount_heading(P, acc, nav, drv[142])
     if not spot[33]:
-        note(acc, mem)
+        store_transition(acc, mem)
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, off)
@@ -1947,17 +1997,17 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if seen:
         clock = start + errors + par - 1
         pushes = np.zeros((3, 3))
-        pushed(P, nav, drv, Cr, pushes, None)
+        acceleration_covariance(P, nav, drv, Cr, pushes, None)
         rest = recent, drv, Cr, xd, since_s, P[clock, clock], pushes, H, near, res, R
         at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
         if bench[facts + 1]:
-            hold_clock(P, near, timed, 8 + par)
+            limit_clock_slope(P, near, timed, 8 + par)
     else:
         at(equation)(*here, near, res)
     if held.size:
         turned = np.diag(bench[lever:][: a * a].reshape(a, a)).max()
-        hold_slopes(P, near, held, held_from, start + errors, turned)
-    moves = moves and hold_unread(P, near, res, start + errors)
+        limit_velocity_slopes(P, near, held, held_from, start + errors, turned)
+    moves = moves and limit_unread_slopes(P, near, res, start + errors)
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
@@ -1966,17 +2016,34 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
     used = mem[places_[8] + 2]
     mem[places_[9] - 1] = count if calm and used else mem[places_[9] - 1] + count
-    velocity, turns = nav[3:6].copy(), drv[142] and turns_along(P, nav[3:5])
+    correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
+
+
+def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
+    places_ = memory_offsets(spot[:8])
+    res = bench[spot[15] : spot[16]][places_[3] : places_[4]]
+    moves = spot[12] and np.isfinite(res).sum() >= 3
+    correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, np.full(len(res) + 1, np.inf))
+
+
+def correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
+    a, n, m, _, start, errors, par, _ = dims = spot[:8]
+    seen, turns, begin, cfg, facts = spot[9], spot[13], spot[15], spot[16], spot[25]
+    held_from, held_to = spot[29:31]
+    mem, places_ = bench[begin:cfg], memory_offsets(dims)
+    H = mem[: places_[1]][places_[0] :].reshape(a, n)
+    near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
+    velocity, turns = nav[3:6].copy(), drv[142] and turns_with_heading(P, nav[3:5])
     if spot[31] >= 0:
         mem[places_[9] - 2] = R[spot[31], spot[31]]
     before, x_before, elements = P.copy(), x.copy(), int(drv[88])
 
     def kept(where, count):
-        known = np.zeros((1 + count, lanes(count)))
-        keep_constants(before, x_before, where, known)
+        known = np.zeros((1 + count, register_room(count)))
+        store_constants(before, x_before, where, known)
         return known
 
-    update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
+    update(P, nav, x, C, R, mem, dims, limits)
     change = mem[places_[4] + 1 : places_[5]]
     change[:] = 0.0
     if mem[places_[8] + 2]:
@@ -1992,20 +2059,11 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         if seen and bench[facts]:
             arm = par - 3 - int(bench[facts + 1])
             where = start + errors + arm
-            withhold(P, x, near, kept(where, 3), arm, where, drv, Cr, np.empty(3))
+            consider_lever_arm(P, x, near, kept(where, 3), arm, where, drv, Cr, np.empty(3))
         if spot[32]:
             where, count = start + errors + held_from, held_to - held_from
-            withhold_hidden(P, x, H, K, kept(where, count), where, np.empty(count))
-        withhold_hidden(P, x, H, K, kept(m - elements, elements), m - elements, np.empty(elements))
-
-
-def heeded(w, nav, P, period_s):
-    if w[:6, [0, 15, 16]].any():
-        return False
-    if w[6, 0] * period_s >= 1.0:
-        pull = gravity(nav[0], nav[2])
-        w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -pull * nav[12:15], pull
-    return True
+            consider_hidden(P, x, H, K, kept(where, count), where, np.empty(count))
+        consider_hidden(P, x, H, K, kept(m - elements, elements), m - elements, np.empty(elements))
 
 
 IN_HAND = {
@@ -2013,251 +2071,6 @@ IN_HAND = {
     15: "nav x drv spans limits sd ends watch P acc Phid Qd Cr piece plan",
 }
 TABLES = ["P", "acc", "Phid", "Qd", "Cr", "ring", "heads", "values", "watch", "piece", "plan"]
-
-
-def in_hand(hand):
-    """The arrays by name, from where they stand."""
-    names = IN_HAND[len(hand)].split()
-    held = [standing(hand, k, np.int64 if n in ("plan", "places", "cursor") else float) for k, n in enumerate(names)]
-    return {name: array if name in TABLES else array[0] for name, array in zip(names, held, strict=True)}
-
-
-def sample(hand, samples, before, offset, row):
-    """0: taken, 2: nothing has been done, 5: the watch over the drive has found something."""
-    nav, x, drv, (gap, doubt, period), limits, sd, ends, w, P, acc, Phid, Qd, Cr, piece, plan = in_hand(hand).values()
-    moved = samples + np.eye(1, 7) * offset
-    if moved[0, 0] - before > gap or stamps_to_steps(moved, before, limits, gap, doubt) != 0:
-        return 2
-    if row >= 0:
-        piece[row] = samples
-    samples[:] = moved
-    if len(w):
-        look(samples, w, sd, ends, period, drv[strapdown_kernels.INCREMENTS] != 0)
-    at(plan[-1, 8])(nav, x[: acc.shape[1] - 9], drv, samples, Phid, Qd, Cr, acc, np.empty((0, 0)))
-    return 5 if len(w) and w[6, 1] and not heeded(w, nav, P, period) else 0
-
-
-def prompt(hand, recent, z, read, plain, t, early, samples, readings, numbers):
-    """0: used, 2: nothing has been done, 3: not used, 6: used, and there is something to learn; then NIS, components,
-    and the mean NIS of the ear.
-    """
-    bench, nav, x, drv, facts, undone, ear, figures, P, acc, Phid, Qd, Cr, ring, heads, values, plan, where, cursor = (
-        in_hand(hand).values()
-    )
-    i, kept_as, period, most, dive, gravity, learn, _ = facts
-    i, spot, at_, n = int(i), plan[int(i)], numbers % len(heads), len(z)
-    begins = [own[15] + own[26] + 3 + 2 * own[0] for own in plan[:-1]]
-    last = [bench[begin] for begin in begins]
-    noted = bench[begins[i] : begins[i] + 5]
-    simple = np.all(np.abs(z) <= most) and np.any(z)
-    dived = dive < t - noted[2] < np.inf
-    keeps = readings >= 0
-    full = keeps and (readings % len(heads) == 0 or at_ == 0 or at_ + n > len(heads))
-    if (plain and not simple) or t in last[i:] or t < last[i] or dived or full:
-        return 2, 0.0, 0, 0.0
-    if plain:
-        read[:] = np.r_[z, np.full(len(read) - n, np.nan)]
-    if keeps:
-        values[at_ : at_ + n, 0] = z
-        heads[readings % len(heads)] = t, kept_as, 0.0, 0.0, samples, numbers + n
-    figures[:2] = 1.0, t
-    a, m, errors = spot[0], acc.shape[1], spot[5]
-    holds = early > 1e-7 and drv[13] != 0
-    if holds:
-        at(plan[-1, 9])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
-    count = 0 if np.isinf(noted[1]) else max(1, round((t - noted[1]) / period))
-    noted[:2] = t
-    correction(bench, spot, P, nav, x, acc, drv, Cr, recent, read, np.zeros(0), count, 0.0 if holds else -early)
-    mem = bench[spot[15] : spot[16]]
-    nis, dof, used, *residual = mem[spot[26] :][: 3 + a]
-    if not used or (spot[28] and dof < np.isfinite(residual).sum()):
-        facts[7] = count
-        return 3, nis, dof, 0.0
-    noted[2] = t
-    _fared(figures, t, nis, dof, nav)
-    if not undone.size:
-        return 0, nis, dof, ear[6]
-    C = bench[spot[20] :][: a * errors].reshape(a, errors)
-    listen(undone, mem, spot[:8], where, nav, C, x, int(ear[0]), ear[9:], ring, cursor, count, Cr, float(gravity))
-    due = ear[0] and attend(ear, nis, dof, count, t >= learn)
-    return 6 if due else 0, nis, dof, ear[6]
-
-
-def _fared(watched, t, nis, dof, nav):
-    watched[2:4] = np.maximum(watched[2:4], t)
-    watched[7:] = watched[7] + 1.0, *nav[:2]
-    if dof >= watched[5]:
-        watched[5:7] = dof, max(watched[6], t)
-    share = min(nis / dof, 25.0)
-    before = 1.0 if np.isnan(watched[4]) else watched[4]
-    watched[4] = before + (share - before) / 50.0
-
-
-def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
-    last_s, table = heard[:, 0], plan[: len(heard)]
-    notes = [bench[spot[15] + spot[26] :][: 3 + 2 * spot[0]] for spot in table]
-    told = [note for note, t in zip(notes, last_s, strict=True) if t > last_s.max() - 10.0 and np.isfinite(note[0])]
-    told = [note for note in told if note[1]]
-    now[:3], now[10:] = (last_s.max(), *nav[:2]), np.nan
-    now[10] = sum(note[0] for note in told) / sum(note[1] for note in told) if told else 1.0
-    near = [i for i, spot in enumerate(table) if spot[31] >= 0 and time_s - last_s[i] < 3.0]
-    if near:
-        spot, note = table[near[0]], notes[near[0]]
-        a, errors, north = spot[0], spot[5], spot[31]
-        C, R = bench[spot[20] :][: a * errors].reshape(a, errors), bench[spot[15] + spot[26] :][6 + 2 * a]
-        left = note[3 + north] * (R / note[3 + a + north] if note[2] else 1.0)
-        now[11] = np.arctan2(nav[9], nav[6]) + left + C[north] @ x[spot[4] - 9 :][:errors]
-        now[12] = now[11] - w[6, 9]
-    return keep(looks, now, gyros, x, P, not (w[:6, 16] > 1.0).any() and w[6, 2] == 0.0)
-
-
-def stretch(
-    now,
-    cursor,
-    settings,
-    bench,
-    plan,
-    channels,
-    watched,
-    scattered,
-    state,
-    drive,
-    samples,
-    stamps,
-    limits,
-    hearing,
-    looking,
-    given,
-    out,
-):
-    """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
-    the watch over the drive has found something, 6: there is something to learn, 7: a gyro's bias may have shifted.
-    """
-    (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
-    known = max(0, len(before) - 512)
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, _ = settings
-    undone, ears, where, opened = hearing
-    kept, facts = scattered
-    rows, info, records, heads, trace = out
-    plan[:, 33] = not (records.size or undone.size)
-
-    def record(values, *head):
-        if records.size:
-            if unmoved(values[: m * m].reshape(m, m)):
-                values, head = values[m * m :], (head[0], 0, *head[2:])
-            records[cursor[6] : cursor[6] + len(values)], heads[cursor[5]] = values, (len(values), *head)
-            cursor[5:7] += 1, len(values)
-
-    def row():
-        if now[0] == now[3]:
-            cursor[4] = max(cursor[4] - 1, 0)
-        elif now[0] - now[3] < interval:
-            return
-        covariance = P[np.tril_indices(len(P))]
-        if rows.shape[1] != 17 + x.size + covariance.size:
-            covariance = np.zeros(72 + len(P))
-            present(P, acc, nav, drv[126], drv[142], None, covariance)
-        rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
-        now[3], cursor[4] = now[0], cursor[4] + 1
-
-    def listened(e, i, spot, note, count, t):
-        """Whether there is something to learn."""
-        a, mem, once = spot[0], bench[spot[15] : spot[16]], np.zeros(1, int)
-        C = bench[spot[20] :][: a * spot[5]].reshape(a, spot[5])
-        value = np.zeros((max(a + 1, int(ears[i, 11])), 1))
-        listen(undone, mem, spot[:8], where[i], nav, C, x, ears[i, 0], ears[i, 9:], value, once, 1, Cr, float(g))
-        opened[e, 0], cursor[8] = count, once[0]
-        if ears[i, 0]:
-            opened[e, 1 : 1 + len(value)] = value[:, 0]
-        return ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn)
-
-    def full(size):
-        more = records.size and cursor[6] + size > records.size
-        return cursor[4] == len(rows) or cursor[5] == len(heads) or more
-
-    for e, (t, i, end, good, same) in enumerate(zip(*given[:5], strict=True)):
-        if e < cursor[0]:
-            continue
-        cursor[0] = e
-        if t >= until or not good or not t < channels[i, 3]:
-            return 1
-        scatters = len(kept) and kept[i, 2]
-        if (undone.size or scatters) and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 8.0:
-            return 1
-        if end > cursor[1] >= cursor[7]:
-            found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
-            if found < 0:
-                return 1
-            cursor[3] += found
-            cursor[7] = end
-        for k in range(cursor[1], end):
-            if full(m * m):
-                return 4
-            if len(w):
-                look(samples[k : k + 1], w, sd, ends, period, increments)
-            at(plan[-1, 8])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc, trace[:0])
-            if known:
-                if cursor[9] == 0:
-                    before[512:], cursor[9] = before[:known].copy(), 512
-                cursor[9] -= 1
-                before[cursor[9]] = samples[k]
-            now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
-            if cursor[2] == every:
-                if drv[126]:
-                    discount_heading(P, acc, nav, drv[142])
-                record(acc[:m].ravel(), 0, m, 0, 0, 0)
-                cursor[2] = 0
-                if undone.size:
-                    carry(undone, acc[:m])
-                fold(P, acc, nav, None)
-                row()
-            elif len(trace):
-                row()
-            if felt and drv[23] >= felt:
-                return 5
-            if len(w) and w[6, 1] and not heeded(w, nav, P, period):
-                return 5
-        if full(plan[-1, 27]):
-            return 4
-        early, wait = t - now[0], channels[i, 5]
-        if t <= channels[i, 0] or early < -1.001 * period or t - wait - now[1] > ahead:
-            return 2
-        watched[i, :2] = (watched[i, 0] + 1.0, watched[i, 1]) if same else (1.0, t)
-        if early > 1e-7 and drv[13] and (early <= 1.001 * period or wait == 0):
-            at(plan[-1, 9])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
-            now[0] = t
-        elapsed = t - channels[i, 1]
-        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / channels[i, 2]))
-        spot, variances = plan[i], given[6]
-        a, variance = spot[0], variances[min(e, len(variances) - 1)]
-        if scatters:
-            widen(kept[i], facts[i], variance, a)
-            variance = facts[i, 4 + 2 * a : 4 + 3 * a]
-        reading = given[5][e], variance, count, wait + now[0] - t
-        correction(bench, spot, P, nav, x, acc, drv, Cr, before[cursor[9] : cursor[9] + known], *reading)
-        cursor[2], channels[i, :2], channels[i, 4] = 0, t, count
-        note = given[7][e, : 3 + 2 * spot[0]]
-        note[:] = bench[spot[15] + spot[26] :][: len(note)]
-        if not note[2]:
-            return 3
-        if scatters:
-            mem, R = bench[spot[15] : spot[16]], bench[spot[23] : spot[23] + a * a].reshape(a, a)
-            of, busy = kept[i, : 6 + 3 * a + 96 * a], len(w) and (w[6, 2] > 0.0 or (w[:6, 16] > 1.0).any())
-            note[0] = heard(of, facts[i], mem, spot[27], spot[26], R, spot[31], P, nav, Cr, t, busy)
-            bench[spot[15] + spot[26]] = note[0]
-        record(bench[spot[15] : spot[15] + spot[27]], spot[0], *spot[2:5], spot[7])
-        row()
-        _fared(watched[i], t, *note[:2], nav)
-        if undone.size and listened(e, i, spot, note, count, t):
-            cursor[0] = e + 1
-            return 6
-        if t >= settings[11]:
-            if look_at_biases(bench, plan, channels, nav, x, P, w, now[0], *looking):
-                cursor[0] = e + 1
-                return 7
-            settings[11] = 10.0 * (np.floor(looking[2][0] / 10.0) + 1.0)
-    cursor[0] = len(given[0])
-    return 0
 
 
 def rows_of_text(values, digits, marks, given, begin, out):
@@ -2275,27 +2088,27 @@ def rows_of_text(values, digits, marks, given, begin, out):
 # ---------------------------------------------------------------- noise that is larger than described
 
 
-def usual(squares):
+def median_square(squares):
     """Mean of squares of normal variables, the largest quarter left out."""
     kept = np.sort(squares)[: int(0.75 * len(squares))]
     return np.mean(kept) / 0.3685 if len(squares) >= 8 else 0.0
 
 
-def beyond(bends, axis, latest, newest, white, work):
+def excess_variance(bends, axis, latest, newest, white, work):
     a = bends.shape[1] // 2
     rows = np.roll(bends, -newest - 1, axis=0)[len(bends) - latest :]
     known = np.isfinite(rows[:, axis])
     squares, slack = rows[known, axis] ** 2 / 6.0, rows[known, a + axis]
-    ratio = usual(squares / np.maximum(white + slack, 1e-300))
+    ratio = median_square(squares / np.maximum(white + slack, 1e-300))
     if ratio > 300.0**2:
         return math.inf
     if ratio <= 2.5:
         return 0.0
     telling = slack <= np.median(slack)
-    return min(max(usual((squares - slack)[telling]) - white, 1.5 * white), 300.0**2 * white)
+    return min(max(median_square((squares - slack)[telling]) - white, 1.5 * white), 300.0**2 * white)
 
 
-def widen(kept, facts, variance, axes):
+def widen_variance(kept, facts, variance, axes):
     own = facts[4 + axes : 4 + 2 * axes] if np.isnan(variance[0]) else variance[:axes]
     facts[4 + 2 * axes : 4 + 3 * axes] = own + kept[6 + 2 * axes : 6 + 3 * axes]
 
@@ -2312,7 +2125,7 @@ def may_have_gone(kind, P, speed, dt, Cr, period_s):
     return (np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2
 
 
-def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
+def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
     a, (lasting, kind, period, drive_period) = len(R), facts[:4]
     refused, before_s, watched, alone = kept[:4]
     last, step_before, excess = kept[6 : 6 + 3 * a].reshape(3, a)
@@ -2348,7 +2161,7 @@ def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
         speed = np.linalg.norm(nav[3:6])
         plain = plain + (wander + may_have_gone(kind, P, speed, period, Cr, drive_period)) * 2.0 / 6.0
     count, newest = int(kept[4]), int(kept[5] - 1) % 48
-    found = [[beyond(bends, i, min(count, n), newest, plain[i], None) for i in range(a)] for n in (16, 48)]
+    found = [[excess_variance(bends, i, min(count, n), newest, plain[i], None) for i in range(a)] for n in (16, 48)]
     excess[:] = found[1] if any(found[0]) else 0.0
     if count == 48 and not any(excess) and refused < 1.0:
         kept[:] = 0.0

@@ -84,7 +84,7 @@ def test_a_second_process_compiles_for_the_first(tmp_path):
 def test_what_is_compiled_ahead_is_what_a_replay_calls():
     vehicle, mission = simulate_scenario("thesis", 1, 60.0)
     nf.replay(vehicle, mission, smooth=True)
-    assert batch.stretch.signatures == [addresses.STRETCH]
+    assert batch.run_batch.signatures == [addresses.STRETCH]
     assert kalman.smooth_run.signatures == [addresses.SMOOTH_RUN]
 
 
@@ -93,8 +93,8 @@ def test_what_is_compiled_ahead_is_what_is_called_live():
     vehicle, mission = simulate_scenario("thesis", 1, 20.0)
     nav = nf.Navigator(vehicle, mission.start)
     one_by_one(nav, events_of(vehicle, mission))
-    assert batch.prompt.signatures == [addresses.PROMPT]
-    assert batch.sample.signatures == [addresses.SAMPLE]
+    assert batch.correct_reading.signatures == [addresses.PROMPT]
+    assert batch.propagate_sample.signatures == [addresses.SAMPLE]
 
 
 def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
@@ -135,9 +135,9 @@ def test_what_is_linked_from_the_cache_brings_what_it_calls_apart(tmp_path):
     process, as after a first start that was broken off, numba kept nothing of it, and the next start ended in LLVM.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    part = "kalman._add_turned.compile((addresses._TABLE, types.int64, types.int64, *(types.float64,) * 3))"
-    whole = "kalman.turn_velocity.compile(addresses.TURN)"
-    call = "P = np.eye(12); kalman.turn_velocity(P, np.ones(17), (0.0, 0.0, 0.0), np.zeros(3)); print(P[3, 7])"
+    part = "consistency.add_turned.compile((addresses._TABLE, types.int64, types.int64, *(types.float64,) * 3))"
+    whole = "consistency.turn_velocity.compile(addresses.TURN)"
+    call = "P = np.eye(12); consistency.turn_velocity(P, np.ones(17), (0.0, 0.0, 0.0), np.zeros(3)); print(P[3, 7])"
     for step in (part, whole, call):
         program = (
             f"import numpy as np; from numba import types; from navfilter.kernels import addresses, kalman; {step}"

@@ -224,10 +224,10 @@ def test_the_kernel_and_its_twin(seed, increments, described):
     at, conditions = 0, set()
     while at < len(samples):
         args = sd, limits, drive.period_s, increments
-        n = kernel.look(ours[at:], w, *args)
-        assert n == naive.look(twins[at:], twin, *args)
+        n = kernel.check_samples(ours[at:], w, *args)
+        assert n == naive.check_samples(twins[at:], twin, *args)
         for k in range(at, at + n):  # all axes at once, or one after the other, is the same to the bit
-            assert kernel.look(one_by_one[k : k + 1], alone, *args) == 1
+            assert kernel.check_samples(one_by_one[k : k + 1], alone, *args) == 1
         np.testing.assert_array_equal(w, alone)
         at += n
         assert_close(w[np.isfinite(w)][None], twin[np.isfinite(twin)][None], 1e-12)

@@ -10,7 +10,7 @@ import pytest
 from kernel_inputs import assert_close, run_both
 
 import navfilter as nf
-from navfilter.kernels import delayed_state, measurement
+from navfilter.kernels import consistency, delayed_state
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, survey, survey_vehicle, transit
 from navfilter.simulation.simulate import simulate
@@ -22,21 +22,21 @@ SLOW = nf.GaussMarkov(sd=0.01, tau_s=20.0) + nf.White(sd=0.01)
 def test_slopes_follow_slowly_where_noise_alone_would_draw_them():
     rng = np.random.default_rng(1)
     near, held, root = rng.normal(size=(3, 14)), rng.normal(size=(3, 4)), 0.1 * rng.normal(size=(20, 20))
-    ours, twins = run_both(measurement.hold_slopes, root @ root.T, near, held, 1, 15, 0.5)
+    ours, twins = run_both(consistency.limit_velocity_slopes, root @ root.T, near, held, 1, 15, 0.5)
     assert_close(ours, twins, 1e-13)
     P, at, seen = np.zeros((20, 20)), np.zeros((3, 13)), []
     P[3:6, 3:6] = 0.01 * np.eye(3)
     held = np.ones((3, 4))
     for velocity in (1.2, 0.8, 2.0, 1.8):
         at[:, 3:6], at[:, 9:] = np.eye(3), velocity
-        measurement.hold_slopes(P, at, held, 0, 13, 0.0)
+        consistency.limit_velocity_slopes(P, at, held, 0, 13, 0.0)
         held = at[:, 9:].copy()
         seen.append(held[0, 0])
     # three times the sd of 0.1 m/s is let go by, but for a fiftieth
     assert seen == pytest.approx([1.004, 0.99992, 2.0, 1.996])
     # and what the noise of the gyros does with the lever arm, 0.35 m/s here
     at[:, 9:] = 1.0
-    measurement.hold_slopes(P, at, held, 0, 13, 0.12)
+    consistency.limit_velocity_slopes(P, at, held, 0, 13, 0.12)
     assert at[0, 9] == pytest.approx(0.98 * 1.996 + 0.02)
 
 
@@ -49,12 +49,12 @@ def test_what_is_not_read_counts_beyond_its_doubt(read, doubt):
     velocity = np.array([1.5, -0.3, 0.2])  # north, east, down [m/s]
     near[:, 6:9] = np.cross(near[:, 3:6], velocity)
     res = np.where(read, 0.1, np.nan)
-    ours, twins = run_both(measurement.hold_unread, root @ root.T, near, res, 12)
+    ours, twins = run_both(consistency.limit_unread_slopes, root @ root.T, near, res, 12)
     assert_close(ours, twins, 1e-12)
-    assert measurement.hold_unread(root @ root.T, near.copy(), res, 12) == all(read)
+    assert consistency.limit_unread_slopes(root @ root.T, near.copy(), res, 12) == all(read)
     P, at = np.zeros((20, 20)), near.copy()
     P[3:6, 3:6] = doubt**2 * np.eye(3)
-    measurement.hold_unread(P, at, res, 12)
+    consistency.limit_unread_slopes(P, at, res, 12)
     along = near[:, 3:6] @ velocity
     seen = np.isfinite(res)
     kept = np.where(seen, along, along * np.maximum(0.0, 1.0 - (3.0 * doubt / along) ** 2))
@@ -66,7 +66,7 @@ def test_slopes_through_water_are_held_by_the_velocity_through_it():
     # velocity and current are unknown by 1 m/s, their difference to 0.01 m/s
     P[3:5, 3:5], P[3:5, 11:13], P[11:13, 3:5], P[11:13, 11:13] = np.eye(2), *(0.99995 * np.eye(2),) * 2, np.eye(2)
     near[:, 3:6], near[:2, 9:11], near[:, 11:] = np.eye(3), -np.eye(2), 1.2
-    ours, twins = run_both(measurement.hold_slopes, P, near, held, 2, 11, 0.0)
+    ours, twins = run_both(consistency.limit_velocity_slopes, P, near, held, 2, 11, 0.0)
     assert_close(ours, twins, 1e-13)
     assert ours[1][:, 11:] == pytest.approx(np.full((3, 4), 1.2))
 
@@ -74,12 +74,12 @@ def test_slopes_through_water_are_held_by_the_velocity_through_it():
 def test_the_slope_of_a_place_by_its_clock_is_held_by_the_velocity():
     rng = np.random.default_rng(4)
     near, held, root = rng.normal(size=(3, 11)), rng.normal(size=3), 0.5 * rng.normal(size=(12, 12))
-    ours, twins = run_both(measurement.hold_clock, root @ root.T, near, held, 10)
+    ours, twins = run_both(consistency.limit_clock_slope, root @ root.T, near, held, 10)
     assert_close(ours, twins, 1e-13)
     P, near = np.zeros((12, 12)), np.zeros((3, 11))
     P[3, 3], near[:2, :2] = 0.01, np.eye(2)
     near[:, 10] = -1.2
-    measurement.hold_clock(P, near, np.full(3, -1.0), 10)
+    consistency.limit_clock_slope(P, near, np.full(3, -1.0), 10)
     # north, whose velocity is known to 0.1 m/s; east, to nothing; and what sees no place
     assert near[:, 10] == pytest.approx([-1.0004, -1.2, -1.2])
 
@@ -116,10 +116,10 @@ def test_a_lever_arm_is_only_considered_where_no_slope_stands_out(inertial):
     H = np.hstack([rng.normal(size=(3, 11)), np.nan_to_num(near[:, 10:])])
     S = H @ before @ H.T + np.eye(3)
     K = before @ H.T @ np.linalg.inv(S)
-    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, delayed_state.lanes(3)))
-    noted, _ = run_both(delayed_state.keep_constants, before, x, 11, kept)
+    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, delayed_state.register_room(3)))
+    noted, _ = run_both(consistency.store_constants, before, x, 11, kept)
     given = P, after, near, noted[3], 1, 11, drv, Cr, np.empty(3)
-    ours, twins = run_both(delayed_state.withhold, *given)
+    ours, twins = run_both(consistency.consider_lever_arm, *given)
     assert_close(ours[:2], twins[:2], 1e-13)
     told = [11, 13] if inertial else [11, 12, 13]
     considered(ours, before, x, H, K, res, [i for i in (11, 12, 13) if i not in told])
@@ -146,9 +146,9 @@ def test_constants_are_only_considered_where_they_are_hidden_by_the_error_of_the
     H = np.eye(2, 16, 3)
     S = H @ before @ H.T + np.eye(2)
     K = before @ H.T @ np.linalg.inv(S)
-    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, delayed_state.lanes(3)))
-    noted, _ = run_both(delayed_state.keep_constants, before, x, 12, kept)
-    ours, twins = run_both(delayed_state.withhold_hidden, P, after, H, K, noted[3], 12, np.empty(3))
+    P, after, kept = before - K @ S @ K.T, x + (K @ res)[9:], np.zeros((4, delayed_state.register_room(3)))
+    noted, _ = run_both(consistency.store_constants, before, x, 12, kept)
+    ours, twins = run_both(consistency.consider_hidden, P, after, H, K, noted[3], 12, np.empty(3))
     assert_close(ours[:2], twins[:2], 1e-13)
     considered(ours, before, x, H, K, res, [12, 14])
 
@@ -160,7 +160,7 @@ def test_an_acceleration_is_known_as_well_as_tilt_and_bias_together(inertial):
     drv[delayed_state.strapdown.INERTIAL], nav[0] = inertial, 0.8
     nav[6:15] = np.linalg.qr(rng.normal(size=(3, 3)))[0].ravel()
     given = (root @ root.T, nav, drv, Cr, np.ones((3, 3)), np.empty(18))
-    ours, twins = run_both(delayed_state.pushed, *given)
+    ours, twins = run_both(consistency.acceleration_covariance, *given)
     assert_close(ours[:5], twins[:5], 1e-12)
     # level: a tilt about east by a bias of the first accelerometer, which a velocity has told to be of one size
     nav[6:15], Cr[:] = np.eye(3).ravel(), 0.0
@@ -168,7 +168,7 @@ def test_an_acceleration_is_known_as_well_as_tilt_and_bias_together(inertial):
     apart = np.zeros((14, 14))
     apart[7, 7], apart[9, 9], apart[7, 9], apart[9, 7] = 0.01**2, (0.01 * g) ** 2, -(0.01**2) * g, -(0.01**2) * g
     pushes = np.ones((3, 3))
-    delayed_state.pushed(apart, nav, drv, Cr, pushes, np.empty(18))
+    consistency.acceleration_covariance(apart, nav, drv, Cr, pushes, np.empty(18))
     assert pushes == pytest.approx(np.zeros((3, 3)), abs=1e-12)
 
 
@@ -189,7 +189,7 @@ def test_a_vehicle_at_rest_tells_nothing_of_a_clock():
 def test_a_slope_by_a_lever_arm_has_no_noise_of_the_reading_that_is_predicted(known):
     rows = np.column_stack([np.full(40, 0.01), np.tile([0.002, 0.1, -0.1], (40, 1)), np.zeros((40, 3))])
     rows[:2], rows[known:] = 99.0, 0.0
-    ours, twins = run_both(delayed_state.lately, rows, np.zeros(3))
+    ours, twins = run_both(delayed_state.mean_rate, rows, np.zeros(3))
     assert_close(ours, twins, 1e-15)
     assert ours[1] == pytest.approx([0.002, 0.1, -0.1])
 

@@ -9,7 +9,7 @@ import feeding
 import numpy as np
 import pytest
 import same_runs
-from test_passage import assert_same, changed, compare_stretches, one_by_one
+from test_passage import assert_same, changed, one_by_one
 
 import navfilter as nf
 from navfilter.navigation import runner
@@ -160,11 +160,6 @@ def test_in_stretches_as_one_by_one_and_live(name, defects, monkeypatch):
     assert {n: w.health(nav.time_s) for n, w in nav.sensor_monitors.items()} == {
         n: w.health(nav.time_s) for n, w in end_state.sensor_monitors.items()
     }
-
-
-@pytest.mark.parametrize("name", ["constants", "on land", "reckoned, clocks"])
-def test_stretch_is_its_twin(name, monkeypatch):
-    compare_stretches(monkeypatch, VEHICLES[name], mission_of(name).between(0.0, 12.0))
 
 
 def test_beams_that_are_learnt_go_reading_by_reading():

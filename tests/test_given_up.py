@@ -113,8 +113,8 @@ def test_what_constants_were_told_since_is_the_twins(k):
         x[at - 9] *= sd
         estimate = 0.1 * sd * rng.standard_normal(k)
         ours, twins = np.empty((2, 2, k + 1, k))
-        found = open_loop_residual.told_since(x, P, at, estimate, before, 0.003, *ours)
-        expected = naive.told_since(x, P, at, estimate, before, 0.003, *twins)
+        found = open_loop_residual.information_since(x, P, at, estimate, before, 0.003, *ours)
+        expected = naive.information_since(x, P, at, estimate, before, 0.003, *twins)
         assert found == pytest.approx(expected, rel=1e-9)
         np.testing.assert_array_equal(ours[0], twins[0])
 

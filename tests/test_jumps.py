@@ -71,12 +71,12 @@ def test_the_kernels_and_their_twins(dive):
         bank[:, -1] = 1.3
         args = channel.mem, channel.dims, channel.places, offset, len(ratios) % 3 != 0
         mine, twin = bank.copy(), bank.copy()
-        ratios.append(bias_glr.hear_jumps(mine, *args))
-        np.testing.assert_allclose(naive.hear_jumps(twin, *args), ratios[-1], rtol=1e-9)
+        ratios.append(bias_glr.update_jumps(mine, *args))
+        np.testing.assert_allclose(naive.update_jumps(twin, *args), ratios[-1], rtol=1e-9)
         np.testing.assert_allclose(mine[:-2], twin[:-2], rtol=1e-9, atol=1e-9)
         Phi = channel.transition.copy()
-        bias_glr.carry_jumps(mine, Phi)
-        naive.carry_jumps(twin, Phi)
+        bias_glr.propagate_jumps(mine, Phi)
+        naive.propagate_jumps(twin, Phi)
         np.testing.assert_allclose(mine[:-2], twin[:-2], rtol=1e-9, atol=1e-9)
 
     heard(vehicle, mission, 8.0, look)

@@ -27,7 +27,7 @@ def test_carry():
     rng = np.random.default_rng(1)
     for m in (9, 10, 15):
         Phi = np.eye(m) + 0.1 * rng.normal(size=(m, m))
-        ours, twins = run_both(open_loop_residual.carry, rng.normal(size=2 * m + 2), Phi)
+        ours, twins = run_both(open_loop_residual.carry_feedback, rng.normal(size=2 * m + 2), Phi)
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
@@ -51,9 +51,9 @@ def test_attend(usual, learning):
         ear[[open_loop_residual.SHARE, open_loop_residual.NIS]] = 0.1, usual * rng.uniform(0.2, 4.0)
         nis = math.nan if rng.random() < 0.1 else rng.exponential(40.0)
         args = ear, nis, float(rng.integers(4)), int(rng.integers(1, 40)), learning
-        ours, twins = run_both(open_loop_residual.attend, *args)
+        ours, twins = run_both(open_loop_residual.after_reading, *args)
         assert_close([ours[0]], [twins[0]], 1e-15)
-        told.append(open_loop_residual.attend(ear, *args[1:]))
+        told.append(open_loop_residual.after_reading(ear, *args[1:]))
     assert not any(told) if not learning else 20 < sum(told) < 180
 
 
@@ -71,7 +71,7 @@ def test_listen(kind, gravity, used, told):
     facts = 1e3 * (told == "still"), 0.7 * (told == "constants"), 0.0, rows, told == "asked"
     for ticks, cursor in ((1, 0), (4, 6), (30, 17)):
         dims = np.array([a, 20, 13, 4, 15, 3, 1, 0])
-        n, m, errors, at = dims[1], dims[2], dims[5], kalman.places(dims)
+        n, m, errors, at = dims[1], dims[2], dims[5], kalman.memory_offsets(dims)
         mem = rng.normal(size=at[-1])
         mem[at[8] + 2] = used
         nav, mount = random_nav(rng), np.concatenate([facts, rng.normal(size=9)])
@@ -93,7 +93,7 @@ def test_listen(kind, gravity, used, told):
             rng.normal(size=(6, m - 8)),
             gravity,
         )
-        ours, twins = run_both(open_loop_residual.listen, *args)
+        ours, twins = run_both(open_loop_residual.record_residual, *args)
         assert_close([ours[0][[*range(m + 9), -2, -1]]], [twins[0][[*range(m + 9), -2, -1]]], 1e-13)
         np.testing.assert_array_equal(np.isnan(ours[9]), np.isnan(twins[9]))
         assert_close([np.nan_to_num(ours[9])], [np.nan_to_num(twins[9])], 1e-13)

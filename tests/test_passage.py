@@ -1,15 +1,13 @@
 """A mission in stretches is, bit for bit, the mission reading by reading; and the kernels of it against their twins."""
 
-import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import naive
 import numpy as np
 import pytest
 from feeding import events_of
 from feeding import one_by_one as feed_one_by_one
-from kernel_inputs import assert_close
+from kernel_inputs import assert_close, run_both
 
 import navfilter as nf
 from navfilter.filter.record_store import RecordStore
@@ -20,8 +18,8 @@ from navfilter.kernels import measurement
 from navfilter.kernels.compiling.addresses import named
 from navfilter.learning import consistency, open_loop_series
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.navigation import passage_again, runner
-from navfilter.playback.replay import replay
+from navfilter.navigation import runner
+from navfilter.playback.replay import _replayed
 from navfilter.simulation.scenarios import simulate_scenario
 
 DEG = np.pi / 180.0
@@ -138,15 +136,15 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
         course[500:] += np.random.default_rng(1).normal(0.0, 0.03, course[500:].shape)
         mission = changed(mission, "compass", value=course)
     reasons, begun = [], []
-    call, again = runner.BatchRunner._call, passage_again.Rerun.run
+    call, again = runner.BatchRunner._call, runner.Rerun.run
     monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
-    monkeypatch.setattr(passage_again.Rerun, "run", lambda self: begun.append(self) or again(self))
-    together, nav = replay._replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
+    monkeypatch.setattr(runner.Rerun, "run", lambda self: begun.append(self) or again(self))
+    together, nav = _replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
     # by a twin first, whose fixes are compared
     assert reasons.count(kernels.LEARN) >= 6 and len(begun) == 4 and together.counts["adopted"] > 6
     calls = len(reasons)
     one_by_one(monkeypatch)
-    alone, other = replay._replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
+    alone, other = _replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
     assert len(reasons) == calls
     assert_same(together, alone)
     assert_same(together.forward, alone.forward)
@@ -209,59 +207,10 @@ def test_a_silence_of_all_sensors_longer_than_the_room_for_rows(smooth, monkeypa
     assert_same(together, nf.replay(vehicle, mission, smooth=smooth))
 
 
-def compare_stretches(monkeypatch, vehicle, mission, **how):
-    """A replay in which every call of `stretch` is held against that of its twin; why the calls ended."""
-    ours, compared, reasons = kernels.stretch, [], set()
-
-    def both(*args):
-        copies = [a.copy() if isinstance(a, np.ndarray) else tuple(part.copy() for part in a) for a in args]
-        before = int(args[1][0])
-        why, twins = ours(*args), naive.stretch(*copies)
-        assert why == twins
-        rows, records, heard = args[1][4], args[1][6], args[13]
-        undone = args[8][3].shape[1] + 9  # the rest is work space
-        assert_close([heard[0][:undone], heard[1]], [copies[13][0][:undone], copies[13][1]], 1e-8)
-        taken = slice(before, args[1][0]) if args[13][0].size else slice(0)
-        assert_close([heard[3][taken, :2]], [copies[13][3][taken, :2]], 1e-8)
-        reasons.add(why)
-        head = 2 * args[8][3].shape[1]  # the rest of acc is work space
-        for one, other in zip((args[8], args[9][:1]), (copies[8], copies[9][:1]), strict=True):
-            assert_close([part[:head] for part in one], [part[:head] for part in other], 1e-8)
-        assert_close(args[:3], copies[:3], 0.0)
-        assert_close(args[5:7], copies[5:7], 1e-9)
-        # with infinities in it; second differences of residuals have a hundredth of their digits
-        np.testing.assert_allclose(args[7][0], copies[7][0], rtol=1e-6, atol=1e-12)
-        assert_close([args[-1][0][:rows]], [copies[-1][0][:rows]], 1e-9)
-        assert_close([args[-1][2][:records]], [copies[-1][2][:records]], 1e-8)
-        compared.append(rows)
-        return why
-
-    monkeypatch.setattr(runner, "READINGS", 20)
-    monkeypatch.setattr(kernels, "stretch", both)
-    nf.replay(vehicle, mission, **({"smooth": True} | how))
-    assert len(compared) > 1
-    return reasons
-
-
-@pytest.mark.parametrize("learning", [False, True])
-def test_stretch_is_its_twin(learning, monkeypatch):
-    vehicle, mission = survey(20.0)
-    if learning:  # from the start on, and each of some hundred ticks
-        vehicle = vehicle.with_error(compass=nf.LearnedArma(orders=[(0, 0)], window=400, hop=50), gps=nf.LearnedArma())
-        monkeypatch.setattr(LearningSchedule, "EARLY_S", ())
-        monkeypatch.setattr(LearningSchedule, "REVISED_S", 1.0)
-    assert (kernels.LEARN in compare_stretches(monkeypatch, vehicle, mission)) == learning
-
-
 def quiet(vehicle):
     """The same, described with a fraction of the noise; of the DVL one axis."""
     dvl = tuple(nf.White(sd=sd) for sd in (0.004, 0.03, 0.03))
     return vehicle.with_error(compass=nf.White(sd=0.002), dvl=dvl, depth=nf.White(sd=0.003))
-
-
-def test_stretch_with_noise_that_is_larger_than_described_is_its_twin(monkeypatch):
-    vehicle, mission = survey(20.0)
-    compare_stretches(monkeypatch, quiet(vehicle), mission)
 
 
 @pytest.mark.parametrize("learning", [False, True])
@@ -286,97 +235,6 @@ def test_noise_that_is_larger_than_described_in_stretches_as_one_by_one(defects,
     assert few < 0.4 * many  # the compass has jumped for half of the time: those are Python's
 
 
-@pytest.mark.parametrize("constants", [False, True])
-def test_stretch_with_a_row_per_sample_is_its_twin(constants, monkeypatch):
-    vehicle, mission = survey(5.0)
-    if constants:
-        vehicle = calibrated(vehicle)
-    compare_stretches(monkeypatch, vehicle, mission, smooth=False, output_rate_hz=None)
-
-
-def test_prompt_is_its_twin(monkeypatch):
-    """Live, with a compass that is listened to, wheels that slip, and outliers; some readings between two samples."""
-    ours, outcomes, early = kernels.prompt, [], []
-
-    def both(hand, recent, z, read, plain, time_s, early_s, *kept):
-        held, reads = naive.in_hand(hand), read.copy()
-        copies, where = {name: array.copy() for name, array in held.items()}, hand.copy()
-        where[:, 0] = [array.ctypes.data for array in copies.values()]
-        found = ours(hand, recent, z, read, plain, time_s, early_s, *kept)
-        assert found == pytest.approx(naive.prompt(where, recent, z, reads, plain, time_s, early_s, *kept), rel=1e-6)
-        why = found[0]
-        own, other = SimpleNamespace(**held, read=read), SimpleNamespace(**copies, read=reads)
-        m, of, at = own.acc.shape[1], own.plan[int(own.facts[0])], (own.cursor[0] - 1) % own.ring.shape[1]
-        begin = of[kernels.MEM] + of[kernels.VERDICT]
-        for given in (own, other):
-            given.noted = given.bench[begin:][: 3 + of[0]], given.bench[begin + 3 + 2 * of[0] :][: kernels.NOTED]
-            given.undone, given.ring = given.undone[: m + 9], given.ring[:, at]  # the rest is work space
-        for name in ("nav", "x", "P", "undone", "ring", "figures"):
-            assert_close([getattr(own, name)], [getattr(other, name)], 1e-8)
-        assert_close(own.noted, other.noted, 1e-8)
-        for name in ("cursor", "heads", "values", *(["read"] if why != kernels.REFUSED else [])):
-            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
-        if why == kernels.JUDGED:
-            assert own.facts[kernels.TICKED] == other.facts[kernels.TICKED] > 0.0
-        outcomes.append((named(of[kernels.EQUATION]).__name__, why))
-        early.append(why != kernels.REFUSED and early_s > 1e-7)
-        return found
-
-    vehicle, mission = survey(20.0)
-    vehicle = vehicle.with_error(compass=nf.LearnedArma(orders=[(0, 0)]))
-    wheels = {"wheels": nf.Odometer(rate_hz=4.0)}
-    nav = nf.Navigator(replace(vehicle, sensors=vehicle.sensors | wheels), mission.start)
-    monkeypatch.setattr(kernels, "prompt", both)
-    for event in events_of(vehicle, mission):
-        if event.sensor == "drive":
-            nav.step(event.time_s, event.value[:3], event.value[3:])
-            continue
-        far = 3.0 * (event.sensor == "dvl" and int(event.time_s) % 5 == 4)
-        nav.correct(event.sensor, event.time_s, np.asarray(event.value) + far)
-        if event.sensor == "compass" and event.time_s % 0.25 > 0.1:  # nothing else comes then
-            nav.correct("compass", event.time_s, np.asarray(event.value) + 1e-3)  # a second one of its time
-            nav.correct("wheels", event.time_s + 0.003, math.hypot(*nav.pose.velocity_n))
-    used = {("heading", kernels.DONE), ("body_velocity", kernels.DONE), ("depth", kernels.DONE)}
-    assert used | {("body_velocity", kernels.JUDGED), ("heading", kernels.REFUSED)} <= set(outcomes)
-    assert any(early) and not all(early)
-
-
-def test_sample_is_its_twin(monkeypatch):
-    """Live, with what is kept of the beginning, a clock that was set, a gap, a spike and a value that cannot be."""
-    ours, reasons, kept = kernels.sample, [], set()
-
-    def both(hand, samples, before_s, offset_s, at):
-        held, given = naive.in_hand(hand), samples.copy()
-        copies, where = {name: array.copy() for name, array in held.items()}, hand.copy()
-        where[:, 0] = [array.ctypes.data for array in copies.values()]
-        found = ours(hand, samples, before_s, offset_s, at)
-        assert found == naive.sample(where, given, before_s, offset_s, at)
-        assert_close([samples], [given], 1e-12)
-        for name in ("nav", "drv", "watch", "piece"):
-            assert_close([held[name]], [copies[name]], 1e-8)
-        head = 2 * held["acc"].shape[1]
-        assert_close([held["acc"][:head]], [copies["acc"][:head]], 1e-8)  # the rest is work space
-        reasons.append(found)
-        kept.add(at >= 0)
-        return found
-
-    monkeypatch.setattr(kernels, "sample", both)
-    vehicle, mission = survey(20.0)
-    for learns in (False, True):
-        error = nf.LearnedArma(orders=[(0, 0)]) if learns else nf.White(sd=0.01)
-        nav = nf.Navigator(vehicle.with_error(compass=error), mission.start)
-        for event in events_of(vehicle, mission):
-            time_s = event.time_s - 3.0 * (event.time_s > 9.0)
-            if event.sensor != "drive":
-                nav.correct(event.sensor, time_s, event.value)
-            elif not 5.0 < event.time_s < 5.5:
-                spike = {12.0: 1e6, 15.0: 5.0}.get(round(event.time_s, 3), 0.0)
-                nav.step(time_s, np.add(event.value[:3], spike), event.value[3:])
-    assert {kernels.DONE, kernels.REFUSED, kernels.HEED} == set(reasons)
-    assert reasons.count(kernels.DONE) > 0.9 * len(reasons) > 2000
-    assert kept == {False, True} and nav.health.clock_offset_s == pytest.approx(3.0, abs=0.02)
-
-
 def test_correction_is_its_twin_for_every_kind(monkeypatch):
     ours, kinds, counts = kernels.correction, set(), set()
 
@@ -388,6 +246,11 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
         spot = args[1]
         pulled = spot[kernels.MEM] + spot[kernels.VERDICT] + 3 + 2 * spot[0] + kernels.LET_GO
         assert args[0][pulled] == copies[0][pulled]
+        a, errors = spot[0], spot[5]
+        C = args[0][spot[kernels.OUTPUT] :][: a * errors].reshape(a, errors)
+        given = *args[:5], *args[6:8], C, args[0][spot[kernels.NOISE] :][: a * a].reshape(a, a)
+        once_more, twins = run_both(kernels.readmission, *given)
+        assert_close(once_more[2:5], twins[2:5], 1e-8)
         counts.add(float(args[0][pulled]))
         kinds.add(named(args[1][kernels.EQUATION]).__name__)
 
@@ -425,17 +288,7 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
     assert {0.0, 1.0} < counts  # there are those that have been let go, and those that have not
     # every kernel of a measurement but those of the kinds that are on board
     public = {name for name, kernel in vars(measurement).items() if hasattr(kernel, "py_func") and name[0] != "_"}
-    assert not public or public - kinds == {
-        "earlier",
-        "range_bend",
-        "usbl_bend",
-        "iron_bend",
-        "tilt_bend",
-        "deviation_bend",
-        "hold_slopes",
-        "hold_unread",
-        "hold_clock",
-    }
+    assert not public or public - kinds == {"earlier"}
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from delayed_look import Sight
 from kernel_inputs import assert_close, random_nav, readings, run_both, spd, uncalibrated_drive
 
 import navfilter as nf
-from navfilter.kernels import delayed_state, measurement, strapdown
+from navfilter.kernels import consistency, delayed_state, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.models.state import NavState, matrix_from_euler
@@ -31,7 +31,7 @@ KINDS = {
 
 
 def looked(sensor, clock):
-    """Sensor, the arguments of `past.sight` up to the state, and its sight."""
+    """Sensor, the arguments of `delayed_state.sight` up to the state, and its sight."""
     sensor = replace(sensor, time_offset_sd_s=clock)
     sight = Sight(sensor, START)
     equation = address(sensor.kernel, addresses.EQUATION)
@@ -75,7 +75,7 @@ def test_reckoned_motion(known):
     recent[known:] = 0.0
     recent[3:5, 5] = np.nan, 99.0  # lost
     args = recent, random_nav(rng), drv, np.zeros(6), np.ones((41, 7)), np.ones(1)
-    ours, twins = run_both(delayed_state.reckoned_motion, *args)
+    ours, twins = run_both(delayed_state.dead_reckoning_motion, *args)
     assert_close(ours[-2:], twins[-2:], 1e-12)
     assert bool(ours[-2].any()) == (known > 1)
 
@@ -99,7 +99,9 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance, in
     into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)
     here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
     pushes = 1e-4 * np.array([[2.0, 0.5, -0.2], [0.5, 1.0, 0.1], [-0.2, 0.1, 0.3]])
-    ours, twins = run_both(delayed_state.sight, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into)
+    ours, twins = run_both(
+        delayed_state.delayed_reading, *head, *here, recent, drv, Cr, xd, since_s, variance, pushes, *into
+    )
     assert_close(ours[-4:], twins[-4:], 1e-9)  # quotients over 1e-3 of rounding
     imu = nf.Imu(rate_hz=100.0)
     outputs, errors = imu.outputs(Cr, drv, xd)
@@ -124,7 +126,7 @@ def test_a_component_that_is_missing_has_the_slopes_of_one_that_is_read(kind, cl
         z, near, res = np.array(KINDS[kind][1]), np.zeros((a, 9 + len(par))), np.zeros(a)
         z[list(missing)] = np.nan
         here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START), recent, drv, Cr, xd, 0.05, 0.01
-        delayed_state.sight(*head, *here, np.zeros((3, 3)), np.zeros((a, 9 + len(xd))), near, res, np.eye(a))
+        delayed_state.delayed_reading(*head, *here, np.zeros((3, 3)), np.zeros((a, 9 + len(xd))), near, res, np.eye(a))
         found.append((near, res))
     (near, res), (less, left) = found
     np.testing.assert_allclose(less, near, atol=1e-9)
@@ -149,7 +151,9 @@ def test_jacobians_of_sight_equal_finite_differences(kind, clock):
     def residual(state, par):
         near, res, H = np.zeros((a, 9 + len(par))), np.zeros(a), np.zeros((a, 9 + len(xd)))
         here = z, state.pack(), rate, par, sensor.constants(START)
-        delayed_state.sight(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a))
+        delayed_state.delayed_reading(
+            *head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a)
+        )
         return near, res
 
     if kind == "position":
@@ -185,7 +189,7 @@ def test_bends_equal_their_twins(known):
     for kernel, z, cfg, (size,), a in found:
         near, res = np.zeros((a, 9 + size)), np.zeros(a)
         kernel(z, nav, np.zeros(3), np.zeros(size), cfg, near, res)
-        bend = measurement.range_bend if kernel is measurement.slant_range else measurement.usbl_bend
+        bend = consistency.range_second_order if kernel is measurement.slant_range else consistency.usbl_second_order
         z = z if known or a == 1 else np.where(np.arange(len(z)) == 0, np.nan, z)
         ours, twins = run_both(bend, z, near, 100.0 * spd(rng, 14 + size), 12, cfg, np.eye(a))
         assert_close(ours[-1:], twins[-1:], 1e-12)

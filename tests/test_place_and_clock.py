@@ -15,7 +15,8 @@ from navfilter.filter.events import Measurement
 from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
-from navfilter.kernels.delayed_state import SLOPE_S, WINDOW_S
+from navfilter.kernels.consistency import WINDOW_S
+from navfilter.kernels.delayed_state import SLOPE_S
 from navfilter.models.state import NavState, matrix_from_euler
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn

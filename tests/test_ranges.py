@@ -13,7 +13,7 @@ from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
-from navfilter.kernels import measurement
+from navfilter.kernels import consistency
 from navfilter.models.sensors.ranges import earth_fixed
 from navfilter.simulation import presets
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
@@ -113,7 +113,7 @@ def test_what_bends_is_no_plane():
     sight = apart / 50.0
     # what the plane leaves is uncorrelated with it: the mean square about the plane's mean is the sum of both
     R, known = np.zeros((1, 1)), np.full(9, -1.0)
-    measurement.range_bend(np.array([50.0, 0.0]), np.append(sight, np.zeros(6))[None], P, 0, known, R)
+    consistency.range_second_order(np.array([50.0, 0.0]), np.append(sight, np.zeros(6))[None], P, 0, known, R)
     left = float(np.mean((drawn - 50.0) ** 2)) - sight @ P @ sight
     assert left == pytest.approx(R[0, 0], abs=0.06)  # 200000 draws of a variance of 8: 0.025
 

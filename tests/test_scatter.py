@@ -56,13 +56,13 @@ def test_it_is_told_ends_with_the_noise_and_stretches_lives_and_snapshots_give_t
     mission = mission.between(0.0, NOISE_S + 60.0)
     noisy = altered(mission, "dvl", noise(0.1), NOISE_S, NOISE_S + 20.0)
     whole, _ = fly(vehicle, noisy)
-    assert whole.filter.memory.channels["dvl"].scatter is None
+    assert whole.filter.memory.monitor.channels["dvl"].scatter is None
     track = nf.replay(vehicle, noisy, output_rate_hz=None)
     np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
     monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
     np.testing.assert_array_equal(nf.replay(vehicle, noisy).covariance[-1], track.covariance[-1])
     half, _ = fly(vehicle, noisy, until_s=NOISE_S + 10.0)
-    assert half.filter.memory.channels["dvl"].scatter.excess.any()
+    assert half.filter.memory.monitor.channels["dvl"].scatter.excess.any()
     assert half.health.sensors["dvl"].condition == "noisy" and "dvl is noisy" in half.health.trust.reasons
     again = nf.Navigator.restore(vehicle, half.snapshot())
     feed(again, vehicle, noisy, after_s=NOISE_S + 10.0)
@@ -81,13 +81,13 @@ def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
         (noise_scale.NEXT, 48.0),
     ):
         other = copied(memory)
-        noted = other.channels["dvl"].scatter.noted.copy()
+        noted = other.monitor.channels["dvl"].scatter.noted.copy()
         noted[change[0]] = change[1]
-        other.channels["dvl"].scatter = NoiseScale(noted)
+        other.monitor.channels["dvl"].scatter = NoiseScale(noted)
         with pytest.raises(ValueError, match="the noise of dvl"):
             nav.filter.restore(other)
     other = copied(memory)
-    other.channels["dvl"].scatter = NoiseScale(memory.channels["dvl"].scatter.noted[:-1])
+    other.monitor.channels["dvl"].scatter = NoiseScale(memory.monitor.channels["dvl"].scatter.noted[:-1])
     with pytest.raises(ValueError, match="the noise of dvl"):
         nav.filter.restore(other)
 
@@ -104,7 +104,7 @@ def beyond(bends, white, slack=0.0):
     rows = np.zeros((noise_scale.MOST, 2 * len(white)))
     rows[: len(bends)] = np.column_stack([bends, np.full_like(bends, slack)])
     at, work = (len(bends), len(bends) - 1), np.zeros(3 * noise_scale.MOST)
-    excess = [noise_scale.beyond(rows, axis, *at, variance, work) for axis, variance in enumerate(white)]
+    excess = [noise_scale.excess_variance(rows, axis, *at, variance, work) for axis, variance in enumerate(white)]
     return excess if any(excess) else ()
 
 
@@ -140,7 +140,8 @@ def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, no
             continue
         of = (mem, *places, R, north, P, nav, Cr, time_s, k == 121)
         own, twin = kept.copy(), kept.copy()
-        by_kernel, by_twin = noise_scale.heard(own, facts.copy(), *of), naive.heard(twin, facts.copy(), *of)
+        by_kernel = noise_scale.update_scale(own, facts.copy(), *of)
+        by_twin = naive.update_scale(twin, facts.copy(), *of)
         assert by_kernel == pytest.approx(by_twin, rel=1e-9)
         # sums in another order, of differences of squares that leave a thousandth of them
         np.testing.assert_allclose(own, twin, rtol=1e-9, atol=1e-12)
@@ -149,7 +150,7 @@ def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, no
         worthless += np.isinf(kept[6 + 2 * axes : 6 + 3 * axes]).any()
         added += bool(np.any(kept[6 + 2 * axes : 6 + 3 * axes]))
         variance = np.where(rng.random() > 0.5, np.nan, rng.uniform(1.0, 2.0, axes))
-        assert_close(*(args[1] for args in run_both(noise_scale.widen, kept, facts, variance, axes)))
+        assert_close(*(args[1] for args in run_both(noise_scale.widen_variance, kept, facts, variance, axes)))
     assert added > 20 and (worthless > 5 or north >= 0) and ends > 0
 
 
@@ -171,7 +172,7 @@ def test_what_is_beyond_the_variances_is_that_of_the_twin(count):
         for axis in range(2):
             for white in (1e-3, 0.05, 10.0):
                 run = bends, axis, count, newest, white, np.zeros(3 * noise_scale.MOST)
-                assert noise_scale.beyond(*run) == pytest.approx(naive.beyond(*run), rel=1e-12)
+                assert noise_scale.excess_variance(*run) == pytest.approx(naive.excess_variance(*run), rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))

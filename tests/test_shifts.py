@@ -114,8 +114,8 @@ def test_the_kernel_and_its_twin(missing):
     )
     table[:missing] = math.nan
     args = table, now, np.full(3, 0.01), np.full(3, 1e-3)
-    assert kernels.farthest(*args) == pytest.approx(naive.farthest(*args), rel=1e-12)
-    assert (kernels.farthest(*args) > 0.0) == (missing < bias_drift.LOOKS)
+    assert kernels.largest_change(*args) == pytest.approx(naive.largest_change(*args), rel=1e-12)
+    assert (kernels.largest_change(*args) > 0.0) == (missing < bias_drift.LOOKS)
 
 
 @pytest.mark.parametrize("what", ["nothing", "far", "anew", "opened", "busy", "none"])
@@ -129,9 +129,9 @@ def test_what_is_kept_and_its_twin(what):
     now[bias_drift.ANEW] += what == "anew"
     P[12, 12] += 9.0 * (what == "opened")
     gyros = gyros[:, :0] if what == "none" else gyros
-    ours, twins = run_both(kernels.keep, table, now, gyros, x, P, what != "busy")
+    ours, twins = run_both(kernels.compare_estimates, table, now, gyros, x, P, what != "busy")
     assert_close(ours[:2], twins[:2])
-    kept, told = ours[0], kernels.keep(table.copy(), now.copy(), gyros, x, P, what != "busy")
+    kept, told = ours[0], kernels.compare_estimates(table.copy(), now.copy(), gyros, x, P, what != "busy")
     assert told == (what == "far")
     assert np.isnan(kept[:-1]).all() == (what in ("anew", "opened", "busy"))
     np.testing.assert_array_equal(kept[-1], table[-1] if told else ours[1])

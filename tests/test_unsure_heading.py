@@ -9,7 +9,7 @@ from kernel_inputs import assert_close, random_nav, run_both, spd
 from scipy.spatial.transform import Rotation
 
 import navfilter as nf
-from navfilter.kernels import kalman
+from navfilter.kernels import consistency, kalman
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Wait
 from navfilter.simulation.motion import Motion
@@ -43,7 +43,7 @@ def test_on_another_heading_a_way_is_an_arc():
 
 def test_velocity_turns_with_the_attitude_by_what_it_has_become():
     rng = np.random.default_rng(3)
-    ours, twins = run_both(kalman.turn_velocity, spd(rng, 14), random_nav(rng), (1.0, -2.0, 0.1), np.zeros(3))
+    ours, twins = run_both(consistency.turn_velocity, spd(rng, 14), random_nav(rng), (1.0, -2.0, 0.1), np.zeros(3))
     assert_close([ours[0], ours[3]], [twins[0], twins[3]], 1e-13)
     # errors that are all of the attitude stay so: psi x v, whatever v becomes
     nav, v, psi = random_nav(rng), np.array([1.5, -0.3, 0.1]), spd(rng, 3)
@@ -52,7 +52,7 @@ def test_velocity_turns_with_the_attitude_by_what_it_has_become():
     before, after = (np.block([[X @ psi @ X.T, X @ psi], [psi @ X.T, psi]]) for X in turned)
     P = np.zeros((9, 9))
     P[3:, 3:] = before
-    kalman.turn_velocity(P, nav, tuple(v), np.zeros(3))
+    consistency.turn_velocity(P, nav, tuple(v), np.zeros(3))
     np.testing.assert_allclose(P[3:, 3:], after, atol=1e-14)
 
 
@@ -60,11 +60,11 @@ def test_what_is_left_of_the_attitude_counts_from_the_tilts_as_corrected():
     """The errors of an attitude that fixes have tilted, as rotations that are drawn have them."""
     rng, n, change, sd = np.random.default_rng(4), 14, np.array([0.03, -0.02]), np.array([0.01, 0.02, 0.05])
     K, residuals = 0.1 * rng.normal(size=(n, 3)), rng.normal(size=3)
-    ours, twins = run_both(kalman.turn_tilts, spd(rng, n), K, residuals, np.zeros(2))
+    ours, twins = run_both(consistency.turn_tilts, spd(rng, n), K, residuals, np.zeros(2))
     assert_close([ours[0], ours[3]], [twins[0], twins[3]], 1e-13)
     P, K = np.zeros((n, n)), np.zeros((n, 1))
     P[6:9, 6:9], K[6:8, 0] = np.diag(sd**2), change
-    kalman.turn_tilts(P, K, np.ones(1), np.zeros(2))
+    consistency.turn_tilts(P, K, np.ones(1), np.zeros(2))
     # the error until then was what is taken off and what was not known; what is left is the product of both rotations
     off = np.r_[change, 0.0]
     drawn = Rotation.from_rotvec(off) * Rotation.from_rotvec(sd * rng.normal(size=(400_000, 3)) - off)
@@ -78,7 +78,7 @@ def test_what_is_left_of_the_attitude_counts_from_the_tilts_as_corrected():
 def test_a_current_goes_with_the_heading_as_the_velocity_does():
     rng, n, first = np.random.default_rng(5), 16, 11
     K, residuals = 0.1 * rng.normal(size=(n, 3)), rng.normal(size=3)
-    ours, twins = run_both(kalman.turn_current, spd(rng, n), K, residuals, first)
+    ours, twins = run_both(consistency.turn_current, spd(rng, n), K, residuals, first)
     assert_close([ours[0]], [twins[0]], 1e-13)
     np.testing.assert_array_equal(ours[0], ours[0].T)
     # the heading by one, velocity and current turned with it: no log reads that, and none does after a change of both
@@ -93,8 +93,8 @@ def test_a_current_goes_with_the_heading_as_the_velocity_does():
     before, changed = untold(v, c), c + K[first : first + 2] @ residuals
     nav[3:6] = v + np.array([0.02, -0.01, 0.0])
     P = 0.01 * np.outer(before, before)
-    kalman.turn_velocity(P, nav, tuple(v), np.zeros(3))
-    kalman.turn_current(P, K, residuals, first)
+    consistency.turn_velocity(P, nav, tuple(v), np.zeros(3))
+    consistency.turn_current(P, K, residuals, first)
     after = untold(nav[3:6], changed)
     np.testing.assert_allclose(P, 0.01 * np.outer(after, after), atol=1e-16)
 
@@ -102,7 +102,7 @@ def test_a_current_goes_with_the_heading_as_the_velocity_does():
 def test_a_deviation_goes_with_the_heading_by_what_it_has_become():
     rng, n, first = np.random.default_rng(4), 16, 11
     K, residual = 0.1 * rng.normal(size=n), 0.3
-    ours, twins = run_both(kalman.turn_deviation, spd(rng, n), K, residual, first)
+    ours, twins = run_both(consistency.turn_deviation, spd(rng, n), K, residual, first)
     assert_close([ours[0]], [twins[0]], 1e-13)
     np.testing.assert_array_equal(ours[0], ours[0].T)
     # what no reading tells stays what no reading tells: the heading by one, the deviation turned with it
@@ -116,7 +116,7 @@ def test_a_deviation_goes_with_the_heading_by_what_it_has_become():
 
     before, after = untold(*deviation), untold(*(deviation + K[first : first + 4] * residual))
     P = 0.01 * np.outer(before, before)
-    kalman.turn_deviation(P, K, residual, first)
+    consistency.turn_deviation(P, K, residual, first)
     np.testing.assert_allclose(P, 0.01 * np.outer(after, after), atol=1e-16)
     for psi in np.linspace(0.0, 6.0, 7):
         s, c, s2, c2 = deviation

@@ -168,7 +168,7 @@ class FaultMonitor:
         """Act on what has been found in the samples."""
         memory = filter.memory
         w = memory.monitor.imu
-        if not batch.heeded(w, memory.nav, memory.P, filter.period_s):
+        if not batch.gravity_is_due(w, memory.nav, memory.P, filter.period_s):
             before = self.imu_monitor.has_excluded(w)
             yield from self.imu_monitor.heed(filter)
             if before or self.imu_monitor.has_excluded(w):

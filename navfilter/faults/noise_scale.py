@@ -124,6 +124,6 @@ def heard(filter: FilterState, channel: Channel, time_s: float, frozen: bool) ->
     north = -1 if channel.sensor.observes.north is None else channel.sensor.observes.north
     ignored = frozen or channel.faults.set_aside or filter.monitor.imu_monitor.busy(memory.monitor.imu)
     of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
-    nis = kernels.heard(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
+    nis = kernels.update_scale(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
     channel.faults.scatter = NoiseScale.of(note)
     return float(nis)

@@ -90,7 +90,7 @@ class ChannelModel(NamedTuple):
             Of the kernel; limits of the gate.
         """
         (kernel, sight), b, period_s = equation, group.ticking, 1.0 / sensor.rate_hz
-        seen = 0 if sight is None else address(delayed_state.sight, addresses.SIGHT)
+        seen = 0 if sight is None else address(delayed_state.delayed_reading, addresses.SIGHT)
         bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
         offset, kernels = has_offset(sensor.models), (address(kernel, addresses.EQUATION), seen, 0, bent)
         limits = np.concatenate([gates, believed(sensor, group)])
@@ -135,8 +135,8 @@ def believed(sensor: Sensor, group: Group) -> Array:
 
 
 def delayed_facts(sensor: Sensor, start: Start) -> Array | None:
-    """What `navfilter.kernels.delayed_state.sight` needs to know of a sensor whose lever arm or clock are states
-    (`Sensor.place_and_clock`); None where they are not.
+    """What `navfilter.kernels.delayed_state.delayed_reading` needs to know of a sensor whose lever arm or clock are
+    states (`Sensor.place_and_clock`); None where they are not.
     """
     if not sensor.place_and_clock():
         return None

@@ -32,7 +32,7 @@ from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
 from navfilter.filter.workspace import shared
 from navfilter.foundation.arguments import needs
-from navfilter.kernels import batch, kalman, measurement, strapdown
+from navfilter.kernels import batch, consistency, kalman, measurement, strapdown
 from navfilter.models.error_models import per_axis
 from navfilter.models.fault_bias import described, offset_states, with_the_same_offsets
 from navfilter.models.learned_arma import learning_part
@@ -274,7 +274,9 @@ class Filter:
         """Fold the compound transition into P."""
         memory = self.memory
         if self.inertial:
-            kalman.discount_heading(memory.P, memory.acc, memory.nav, memory.drv[strapdown.OWN], self._work.reshape(-1))
+            consistency.discount_heading(
+                memory.P, memory.acc, memory.nav, memory.drv[strapdown.OWN], self._work.reshape(-1)
+            )
         transition = memory.acc[: self.layout.head].copy()
         if self.tape is not None:
             self.tape.record(transition.reshape(-1), 0, self._dims)

@@ -15,7 +15,7 @@ from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.channel_model import ChannelModel, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.kernels import batch, delayed_state, kalman
+from navfilter.kernels import batch, consistency, kalman
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
@@ -53,7 +53,7 @@ class Channel:
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self._delayed, self.lead_s = delayed_facts(sensor, start), sensor.lead_s
         self.past_s = (
-            self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + delayed_state.WINDOW_S * any(sensor.lever_arm_sd_m)
+            self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + consistency.WINDOW_S * any(sensor.lever_arm_sd_m)
         )
         self.moves, self.turns = sensor.observes.in_body_axes, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
@@ -96,7 +96,7 @@ class Channel:
         if sensor.deviation is not None:
             turned = group.start + group.errors + sensor.deviation
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, turned])
-        at = kalman.places(self.dims)
+        at = kalman.memory_offsets(self.dims)
         self.places, self.record_size, self.size = np.array(at), at[5], at[-1] + own.content.size
 
     def prepare(self, vehicle: Vehicle, layout: Layout) -> None:
@@ -136,7 +136,9 @@ class Channel:
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
-        self.change = mem[at[4] + 1 : at[5]]  # of velocity and tilts: `kalman.turn_velocity`, `kalman.turn_tilts`
+        self.change = mem[
+            at[4] + 1 : at[5]
+        ]  # of velocity and tilts: `consistency.turn_velocity`, `consistency.turn_tilts`
         self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)

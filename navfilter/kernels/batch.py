@@ -8,10 +8,10 @@ import numpy as np
 
 from navfilter.kernels import (
     bias_drift,
+    consistency,
     delayed_state,
     imu_checks,
     kalman,
-    measurement,
     noise_scale,
     open_loop_residual,
     strapdown,
@@ -31,15 +31,15 @@ SAME_S = 1e-7
 UNSURE_HEADING = 0.01
 
 # Columns of `plan`, a row a channel: the eight of `kalman.update`; addresses of its kernel (0: it is asked by Python),
-# of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
-# (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
-# memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
-# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge; from
-# which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
-# parameters may be hidden by the state's error; whether nobody wants to know its transitions; where the table of its
-# fault states stands (0: none), see `_fault_states`. One more row is for the
-# drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three, in MEM its work
-# space, in RECORD the longest record of all.
+# of `delayed_state.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation
+# bends by (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand:
+# working memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the
+# verdict, and how long the record for the smoother is; whether a reading of which components are left out is Python's
+# to judge; from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none);
+# whether these parameters may be hidden by the state's error; whether nobody wants to know its transitions; where the
+# table of its fault states stands (0: none), see `_fault_states`. One more row is for the drive: dimensions of a fold,
+# addresses of its steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest
+# record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
@@ -79,7 +79,8 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 # its period; up to which value readings are taken as they are; without a fix for how long its vehicle has dived; what a
 # tilt turns into acceleration, and from when on it is learnt from readings (see `listen`); ticks of the last reading.
 CHANNEL, KEPT_AS, TICK_S, LARGEST, DIVE_S, TILTED, LEARNT_S, TICKED, FACTS_SIZE = range(9)
-# So many arrays are handed to `prompt`, and to `sample`, by where they stand; which of these is what is kept.
+# So many arrays are handed to `correct_reading`, and to `propagate_sample`, by where they stand; which of these is what
+# is kept.
 HAND, HELD_FOR_SAMPLES, PIECE = 19, 15, 13
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
@@ -118,28 +119,28 @@ def _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
     dims = spot[:8]
     a, n, m, start, errors, parameters = dims[0], dims[1], dims[2], dims[4], dims[5], dims[6]
     mem = bench[spot[MEM] : spot[CONSTANTS]]
-    places = kalman.places(dims)
+    places = kalman.memory_offsets(dims)
     timed = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.CLOCK] != 0.0
     H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
     near, res = shaped(mem[places[7] : places[8]], a, 9 + parameters), mem[places[3] : places[3] + a]
     slopes = spot[HELD_TO] - spot[HELD]
     velocity = nav[3], nav[4], nav[5]
-    turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
+    turns = drv[strapdown.OWN] != 0.0 and consistency.turns_with_heading(P, nav[3], nav[4])
     if spot[NORTH] >= 0:
         mem[places[8] + 3 + 2 * a + NORTH_WHITE] = R[spot[NORTH], spot[NORTH]]
     # constants that may be told too much: a lever arm's, the sensor's own, the unit's
     has_arm = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.ARM] != 0.0
     by_arm, elements = parameters - 3 - int(timed), int(drv[strapdown.CALIBRATED])
     arm, hidden, unit = start + errors + by_arm, start + errors + spot[HELD], m - elements
-    arm_kept = scratch(np.float64, int(4), delayed_state.lanes(int(3)))
-    hidden_kept = scratch(np.float64, 1 + slopes, delayed_state.lanes(slopes))
-    unit_kept = scratch(np.float64, 1 + elements, delayed_state.lanes(elements))
+    arm_kept = scratch(np.float64, int(4), delayed_state.register_room(int(3)))
+    hidden_kept = scratch(np.float64, 1 + slopes, delayed_state.register_room(slopes))
+    unit_kept = scratch(np.float64, 1 + elements, delayed_state.register_room(elements))
     if has_arm:
-        delayed_state.keep_constants(P, x, arm, arm_kept)
+        consistency.store_constants(P, x, arm, arm_kept)
     if spot[HIDDEN]:
-        delayed_state.keep_constants(P, x, hidden, hidden_kept)
+        consistency.store_constants(P, x, hidden, hidden_kept)
     if elements:
-        delayed_state.keep_constants(P, x, unit, unit_kept)
+        consistency.store_constants(P, x, unit, unit_kept)
     kalman.update(P, nav, x, C, R, mem, dims, limits)
     change = mem[places[4] + 1 : places[5]]
     for i in range(5):
@@ -148,26 +149,26 @@ def _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
         if moves:
             drv[strapdown.OWN] = 2.0 if dims[7] < 0 else 1.0
         if moves or turns:
-            kalman.turn_velocity(P, nav, velocity, change)
+            consistency.turn_velocity(P, nav, velocity, change)
             if dims[7] < 0:
-                kalman.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
+                consistency.turn_current(P, shaped(mem[places[1] : places[2]], n, a), res, -dims[7])
         elif drv[strapdown.INERTIAL] != 0.0 and drv[strapdown.OWN] == 0.0:
-            kalman.turn_tilts(P, shaped(mem[places[1] : places[2]], n, a), res, change[3:])
+            consistency.turn_tilts(P, shaped(mem[places[1] : places[2]], n, a), res, change[3:])
     if mem[places[8] + 2] != 0.0:
         K = shaped(mem[places[1] : places[2]], n, a)
         if has_arm:
-            delayed_state.withhold(P, x, near, arm_kept, by_arm, arm, drv, Cr, spare[:3])
+            consistency.consider_lever_arm(P, x, near, arm_kept, by_arm, arm, drv, Cr, spare[:3])
         if spot[HIDDEN]:
-            delayed_state.withhold_hidden(P, x, H, K, hidden_kept, hidden, spare[:slopes])
+            consistency.consider_hidden(P, x, H, K, hidden_kept, hidden, spare[:slopes])
         if elements:
-            delayed_state.withhold_hidden(P, x, H, K, unit_kept, unit, spare[:elements])
+            consistency.consider_hidden(P, x, H, K, unit_kept, unit, spare[:elements])
 
 
 @njit(cache=True, **UNCOUNTED)
 def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
     """Correct by the residual and Jacobian of the reading that was refused last, without a gate."""
     a, mem = spot[0], bench[spot[MEM] : spot[CONSTANTS]]
-    res, limits = mem[kalman.places(spot[:8])[3] :], scratch(np.float64, int(1), a + 1)
+    res, limits = mem[kalman.memory_offsets(spot[:8])[3] :], scratch(np.float64, int(1), a + 1)
     seen = 0
     for i in range(a):
         seen += math.isfinite(res[i])
@@ -209,20 +210,20 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
 
     bench: working memory of all channels; spot: this one's row of `plan`; recent: the drive's last samples, see
-    `past.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for what the
-    error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken. Behind the
-    limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used. For
-    how many ticks it may have been beyond one sd stands behind the verdict: from the last used reading within it.
+    `delayed_state.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for
+    what the error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken. Behind the
+    limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used. For how
+    many ticks it may have been beyond one sd stands behind the verdict: from the last used reading within it.
     """
     dims = spot[:8]
     a, n, m, b, start, errors, parameters = dims[0], dims[1], dims[2], dims[3], dims[4], dims[5], dims[6]
     mem = bench[spot[MEM] : spot[CONSTANTS]]
     model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
-    places = kalman.places(dims)
+    places = kalman.memory_offsets(dims)
     if drv[strapdown.INERTIAL] != 0.0:
-        kalman.discount_heading(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
+        consistency.discount_heading(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
     if not spot[UNHEARD]:
-        kalman.note(acc, mem)
+        kalman.store_transition(acc, mem)
     kalman.predict(P, nav, x, acc, model, mem, dims, count)
     rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
     H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
@@ -265,18 +266,18 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         room = room[a:]
         pushes = shaped(room[:9], 3, 3)
         if timed:
-            delayed_state.pushed(P, nav, drv, Cr, pushes, room[9 : 9 + 3 * (m - 6)])
+            consistency.acceleration_covariance(P, nav, drv, Cr, pushes, room[9 : 9 + 3 * (m - 6)])
         addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], pushes, H, near, res, R))
         if timed:
-            measurement.hold_clock(P, near, before, 8 + parameters)
+            consistency.limit_clock_slope(P, near, before, 8 + parameters)
     else:
         addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
     if slopes:
         turned = 0.0
         for i in range(a):
             turned = max(turned, bench[spot[LEVER_NOISE] + i * a + i])
-        measurement.hold_slopes(P, near, held, spot[HELD], start + errors, turned)
-    moves = spot[MOVES] != 0 and measurement.hold_unread(P, near, res, start + errors)
+        consistency.limit_velocity_slopes(P, near, held, spot[HELD], start + errors, turned)
+    moves = spot[MOVES] != 0 and consistency.limit_unread_slopes(P, near, res, start + errors)
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
     if spot[FAULTS]:
         _fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res)
@@ -305,7 +306,7 @@ def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, 
 
     xd: the first of x, those of the drive. rows (r, w): nav, x, then the lower triangle of P or its first nine rows
     and columns and the rest of its diagonal, as `kalman.present` gives them where samples have not been folded yet.
-    info (r, 2): time, and after how many records. inertial, own: see `kalman.discount_heading`.
+    info (r, 2): time, and after how many records. inertial, own: see `consistency.discount_heading`.
     """
     at, n = cursor[ROWS], P.shape[0]
     if now[TIME_S] == now[ROW_S] and at > 0:
@@ -348,7 +349,7 @@ def _note_record(record, axes, dims, cursor, records, heads):
     if records.size == 0:
         return
     m = dims[2]
-    if kalman.unmoved(shaped(record[: m * m], m, m)):
+    if kalman.is_identity(shaped(record[: m * m], m, m)):
         record, m = record[m * m :], int(0)
     at, begin = cursor[RECORDS], cursor[WRITTEN]
     for i in range(record.size):
@@ -368,7 +369,7 @@ def _has_room(cursor, size, rows, records, heads):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def heeded(w, nav, P, period_s):
+def gravity_is_due(w, nav, P, period_s):
     """While all axes are good, `navfilter.faults.imu.monitor.ImuMonitor.heed`: the reference of gravity is due."""
     for i in range(6):
         a = w[i]
@@ -388,7 +389,7 @@ def heeded(w, nav, P, period_s):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _remember(block, recent, cursor):
+def _keep_recent(block, recent, cursor):
     """Put the samples of a block before the last ones, the newest first."""
     for n in range(block.shape[0]):
         if cursor[NEWEST] == 0:
@@ -403,7 +404,7 @@ def _remember(block, recent, cursor):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
+def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
     """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; says why
     it ended: all is `DONE`, the output is `FULL`, or Python has to `HEED` what the watch over the drive has found,
     or to feel whether the vehicle rests.
@@ -430,11 +431,11 @@ def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps
             end = min(end, begin + max(1, felt - int(drv[strapdown.COUNT])))
         if w.shape[0] > 0:
             steps = settings[INCREMENTS] > 0.0
-            end = begin + imu_checks.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
+            end = begin + imu_checks.check_samples(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
         block = samples[begin:end]
         addresses.at_steps(spot[STEPS], (nav, xd, drv, block, Phid, Qd, Cr, acc, trace[: end - begin]))
         if recent.shape[0] > 0:
-            _remember(block, recent, cursor)
+            _keep_recent(block, recent, cursor)
         cursor[UNFOLDED] += end - begin
         cursor[SAMPLE] += end - begin
         for i in range(begin, end - 1 if each else begin):
@@ -445,14 +446,14 @@ def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps
         now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
         if cursor[UNFOLDED] >= every:
             if inertial:
-                kalman.discount_heading(P, acc, nav, own, work[m * m :])
+                consistency.discount_heading(P, acc, nav, own, work[m * m :])
             transition = flat(acc)
             for i in range(m * m):
                 head[i] = transition[i]
             kalman.fold(P, acc, nav, shaped(work[m * m : m * m + m * n], m, n))
             cursor[UNFOLDED] = 0
             if undone.size > 0:
-                open_loop_residual.carry(undone, shaped(head, m, m))
+                open_loop_residual.carry_feedback(undone, shaped(head, m, m))
             _note_record(head, int(0), spot, cursor, records, heads)
         if cursor[UNFOLDED] == 0 or each:
             _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, info, work[m * m :])
@@ -460,21 +461,20 @@ def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps
         if felt > 0 and drv[strapdown.COUNT] >= felt:
             return HEED
         news = w.shape[0] > 0 and w[imu_checks.UNIT, imu_checks.NEWS] != 0.0
-        if news and not heeded(w, nav, P, settings[PERIOD_S]):
+        if news and not gravity_is_due(w, nav, P, settings[PERIOD_S]):
             return HEED
     return DONE
 
 
 @njit(cache=True, **UNCOUNTED)
-def sample(hand, samples, before_s, offset_s, at):
-    """One sample live, by the same kernels as those of a replay in `stretch`: `DONE`, or `HEED` where the watch
+def propagate_sample(hand, samples, before_s, offset_s, at):
+    """One sample live, by the same kernels as those of a replay in `run_batch`: `DONE`, or `HEED` where the watch
     over the drive has found something; `REFUSED`, and nothing has been done, where it does not follow the last one.
 
-    hand (HELD_FOR_SAMPLES, 3): where arrays stand, as for `prompt`. spans: silence that is a gap, silence that is
-    in doubt, period; limits: of its values; sd, ends: standard deviations and limits by which the watch looks;
-    piece: the last one of the samples that are kept, and in which row of it this one is (-1: none are kept).
-    samples (1, 7): stamp and values, as they came; before_s: stamp of the last one, moved by `offset_s`, as this
-    one will be.
+    hand (HELD_FOR_SAMPLES, 3): where arrays stand, as for `correct_reading`. spans: silence that is a gap, silence that
+    is in doubt, period; limits: of its values; sd, ends: standard deviations and limits by which the watch looks;
+    piece: the last one of the samples that are kept, and in which row of it this one is (-1: none are kept). samples
+    (1, 7): stamp and values, as they came; before_s: stamp of the last one, moved by `offset_s`, as this one will be.
     """
     nav = flat(standing(hand, 0, np.float64))
     x = flat(standing(hand, 1, np.float64))
@@ -503,15 +503,15 @@ def sample(hand, samples, before_s, offset_s, at):
             piece[at, j] = samples[0, j]
     steps = drv[strapdown.INCREMENTS] > 0.0
     if w.shape[0] > 0:
-        imu_checks.look(samples, w, sd, ends, period_s, steps)
+        imu_checks.check_samples(samples, w, sd, ends, period_s, steps)
     spot, xd = plan[plan.shape[0] - 1], x[: acc.shape[1] - 9]
     addresses.at_steps(spot[STEPS], (nav, xd, drv, samples, Phid, Qd, Cr, acc, acc[:0]))
     news = w.shape[0] > 0 and w[imu_checks.UNIT, imu_checks.NEWS] != 0.0
-    return HEED if news and not heeded(w, nav, P, period_s) else DONE
+    return HEED if news and not gravity_is_due(w, nav, P, period_s) else DONE
 
 
 @njit(cache=True, **UNCOUNTED)
-def _partly(note, a):
+def _uses_part(note, a):
     """Whether components of a reading that was used have been left out."""
     known = 0
     for i in range(a):
@@ -520,7 +520,7 @@ def _partly(note, a):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _seen(watch, time_s, same):
+def _note_arrival(watch, time_s, same):
     """Note that a reading arrives, as `navfilter.faults.sensor_monitor.SensorMonitor.sees` does; same: with the
     value before.
     """
@@ -531,7 +531,7 @@ def _seen(watch, time_s, same):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _fared(watch, time_s, nis, dof, nav):
+def _note_used(watch, time_s, nis, dof, nav):
     """Note that a reading was used, as `navfilter.faults.sensor_monitor.SensorMonitor.note` does."""
     watch[USED] += 1.0
     watch[LATITUDE], watch[LONGITUDE] = nav[0], nav[1]
@@ -545,7 +545,7 @@ def _fared(watch, time_s, nis, dof, nav):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _as_it_is(z, most, read):
+def _plain_reading(z, most, read):
     """Take a reading as it is, with NaN behind it; False for one that its sensor has to be asked about."""
     told = False
     for i in range(z.size):
@@ -565,7 +565,7 @@ def _last_s(bench, own):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _is_next(bench, plan, i, time_s, dive_s):
+def _is_in_order(bench, plan, i, time_s, dive_s):
     """Whether a reading comes after the last of its channel, in its place among those of its time, and before the
     vehicle has dived.
     """
@@ -578,7 +578,7 @@ def _is_next(bench, plan, i, time_s, dive_s):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _taken(bench, plan, own, state, drive, recent, reading, times):
+def _correct_reading(bench, plan, own, state, drive, recent, reading, times):
     """Take a reading: hold the drive until its time, then `correction`. Returns the ticks of its clock, and whether
     it is used as a whole.
 
@@ -601,12 +601,12 @@ def _taken(bench, plan, own, state, drive, recent, reading, times):
     filter, given = (bench, own, P, nav, x, acc, drv, Cr, recent), (z, variance, count, wait_s + now_s - time_s)
     addresses.at_correction(spot[CORRECTION], filter + given)
     note = bench[verdict : verdict + 3 + a]
-    return count, note[2] != 0.0 and not (own[PARTLY] and _partly(note, a))
+    return count, note[2] != 0.0 and not (own[PARTLY] and _uses_part(note, a))
 
 
 @njit(cache=True, **UNCOUNTED)
-def prompt(hand, recent, z, read, plain, time_s, now_s, kept_samples, kept_readings, kept_values):
-    """One reading live, by the same kernels as those of a replay in `stretch`, and all that is noted of it:
+def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, kept_readings, kept_values):
+    """One reading live, by the same kernels as those of a replay in `run_batch`, and all that is noted of it:
     `REFUSED`, and nothing has been done, where its sensor has to be asked, it is not the next one, or a piece of
     what is kept is full; `JUDGED` where it was not used, and Python says what follows; else `DONE`, or `LEARN`.
     Behind that its NIS and components, and the mean NIS of the ear.
@@ -639,7 +639,9 @@ def prompt(hand, recent, z, read, plain, time_s, now_s, kept_samples, kept_readi
     cursor = flat(standing(hand, 18, np.int64))
     i = int(facts[CHANNEL])
     own = plan[i]
-    if (plain and not _as_it_is(z, facts[LARGEST], read)) or not _is_next(bench, plan, i, time_s, facts[DIVE_S]):
+    if (plain and not _plain_reading(z, facts[LARGEST], read)) or not _is_in_order(
+        bench, plan, i, time_s, facts[DIVE_S]
+    ):
         return REFUSED, 0.0, 0, 0.0
     a, errors, verdict = own[0], own[5], own[MEM] + own[VERDICT]
     noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
@@ -659,40 +661,42 @@ def prompt(hand, recent, z, read, plain, time_s, now_s, kept_samples, kept_readi
         (drv, Phid, Qd, Cr),
         (time_s, now_s, 0.0, facts[TICK_S], holds),
     )
-    count, used = _taken(bench, plan, own, state, drive, recent, (read, read[:0]), times)
+    count, used = _correct_reading(bench, plan, own, state, drive, recent, (read, read[:0]), times)
     note = bench[verdict : verdict + 3 + a]
     if not used:
         facts[TICKED] = count
         return JUDGED, note[0], int(note[1]), 0.0
     noted[TAKEN_S] = time_s
-    _fared(figures, time_s, note[0], note[1], nav)
+    _note_used(figures, time_s, note[0], note[1], nav)
     if undone.size > 0:
         mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[open_loop_residual.MOUNT :]
         C, kind = (
             shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors),
             int(ear[open_loop_residual.KIND]),
         )
-        open_loop_residual.listen(
+        open_loop_residual.record_residual(
             undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED]
         )
         learning = time_s >= facts[LEARNT_S]
-        if kind != open_loop_residual.NOTHING and open_loop_residual.attend(ear, note[0], note[1], count, learning):
+        if kind != open_loop_residual.NOTHING and open_loop_residual.after_reading(
+            ear, note[0], note[1], count, learning
+        ):
             return LEARN, note[0], int(note[1]), ear[open_loop_residual.NIS]
     return DONE, note[0], int(note[1]), ear[open_loop_residual.NIS]
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
+def _record_residual(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
     """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something
-    is to be learnt. own: row of `plan`; ear, places, opened: see `stretch`.
+    is to be learnt. own: row of `plan`; ear, places, opened: see `run_batch`.
     """
     a, errors = own[0], own[5]
     rows = max(a + 1, int(ear[open_loop_residual.MOUNT + open_loop_residual.ROWS]))
     mem = bench[own[MEM] : own[CONSTANTS]]
     C = shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors)
     cursor[SPARE], once = 0, int(1)
-    open_loop_residual.listen(
+    open_loop_residual.record_residual(
         undone,
         mem,
         own[:7],
@@ -710,14 +714,14 @@ def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, p
     )
     opened[0] = ticks
     verdict = own[MEM] + own[VERDICT]
-    return ear[open_loop_residual.KIND] != 0.0 and open_loop_residual.attend(
+    return ear[open_loop_residual.KIND] != 0.0 and open_loop_residual.after_reading(
         ear, bench[verdict], bench[verdict + 1], ticks, t >= settings[LEARN_S]
     )
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _scattered(bench, own, P, nav, Cr, t, kept, facts, w):
+def _described_nis(bench, own, P, nav, Cr, t, kept, facts, w):
     """NIS by its description of a reading that was used, of a sensor that scatters by more, see `scatter.heard`.
 
     own: row of `plan`; w: what the watch over the drive remembers: nothing is learnt while an axis is left out.
@@ -727,13 +731,13 @@ def _scattered(bench, own, P, nav, Cr, t, kept, facts, w):
         busy |= w[j, imu_checks.HEEDED] > imu_checks.NOISY
     mine, mem = kept[: noise_scale.LAST + 3 * a + 2 * a * noise_scale.MOST], bench[own[MEM] : own[CONSTANTS]]
     R, S = shaped(bench[own[NOISE] : own[NOISE] + a * a], a, a), own[RECORD]
-    return noise_scale.heard(mine, facts, mem, S, own[VERDICT], R, own[NORTH], P, nav, Cr, t, busy)
+    return noise_scale.update_scale(mine, facts, mem, S, own[VERDICT], R, own[NORTH], P, nav, Cr, t, busy)
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def look_at_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
-    """A look at the biases of the gyros after a reading, see `navfilter.kernels.bias_drift.keep`.
+def check_gyro_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
+    """A look at the biases of the gyros after a reading, see `navfilter.kernels.bias_drift.compare_estimates`.
 
     w: what the watch over the drive remembers; time_s: of the state; now (COLUMNS,): receives the look, but for how
     often the attitude has been set anew, which stands there.
@@ -769,11 +773,11 @@ def look_at_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
     for i in range(w.shape[0] - 1):
         calm = calm and w[i, imu_checks.HEEDED] <= imu_checks.NOISY
     calm = calm and w[imu_checks.UNIT, imu_checks.OFF_S] == 0.0
-    return bias_drift.keep(looks, now, gyros, x, P, calm)
+    return bias_drift.compare_estimates(looks, now, gyros, x, P, calm)
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)
-def stretch(
+def run_batch(
     now,
     cursor,
     settings,
@@ -800,9 +804,9 @@ def stretch(
     x, P, acc) are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
     limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
     their `kalman.places`, and (r, 1 + rows) for ticks and what `listen` notes of each reading. looking: what
-    `look_at_biases` takes last. given, of readings: when taken (r,), channel, samples before it, whether Python has
+    `check_gyro_biases` takes last. given, of readings: when taken (r,), channel, samples before it, whether Python has
     found nothing wrong with it, whether its value is that of the one before; values (r, w), and own variances
-    (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_carried`.
+    (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_propagated`.
     """
     nav, x, P, acc = state
     drv, Phid, Qd, Cr, samples_before = drive[0], drive[1], drive[2], drive[3], drive[4]
@@ -834,7 +838,7 @@ def stretch(
                     return NEXT
                 cursor[GAPS] += gaps
                 cursor[STEPPED] = end
-            why = _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work)
+            why = _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work)
             if why != DONE:
                 return why
         if not _has_room(cursor, spot[RECORD], rows, records, heads):
@@ -843,18 +847,18 @@ def stretch(
         ahead_s = t - mine[WAIT_S] - now[SAMPLE_S]
         if t <= _last_s(bench, plan[i]) or early_s < -1.001 * period_s or ahead_s > settings[AHEAD_S]:
             return REFUSED
-        _seen(watched[i], t, same[e])
+        _note_arrival(watched[i], t, same[e])
         holds = early_s <= 1.001 * period_s or mine[WAIT_S] == 0.0
         holds = holds and early_s > SAME_S and drv[strapdown.STARTED] != 0.0
         own, variance = plan[i], variances[min(e, variances.shape[0] - 1)]
         verdict, a = own[MEM] + own[VERDICT], own[0]
         if scatters:
-            noise_scale.widen(kept[i], facts[i], variance, a)
+            noise_scale.widen_variance(kept[i], facts[i], variance, a)
             variance = facts[i, noise_scale.BY_AXIS + 2 * a : noise_scale.BY_AXIS + 3 * a]
         recent = samples_before[cursor[NEWEST] : cursor[NEWEST] + known]
         times_of = t, now[TIME_S], mine[WAIT_S], mine[CHANNEL_PERIOD_S], holds
         drive_of = drv, Phid, Qd, Cr
-        count, used = _taken(bench, plan, own, state, drive_of, recent, (values[e], variance), times_of)
+        count, used = _correct_reading(bench, plan, own, state, drive_of, recent, (values[e], variance), times_of)
         if holds:
             now[TIME_S] = t
         cursor[UNFOLDED] = 0
@@ -864,18 +868,18 @@ def stretch(
         if not used:
             return JUDGED
         if scatters:
-            notes[e, 0] = bench[verdict] = _scattered(bench, own, P, nav, Cr, t, kept[i], facts[i], drive[5])
+            notes[e, 0] = bench[verdict] = _described_nis(bench, own, P, nav, Cr, t, kept[i], facts[i], drive[5])
         _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
         by = drv[strapdown.OWN]
         _note_row(now, cursor, settings[INTERVAL_S], nav, x[: m - 9], x, P, acc, inertial, by, rows, info, work)
-        _fared(watched[i], t, notes[e, 0], notes[e, 1], nav)
-        if undone.size > 0 and _listened(
+        _note_used(watched[i], t, notes[e, 0], notes[e, 1], nav)
+        if undone.size > 0 and _record_residual(
             cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]
         ):
             cursor[READING] = e + 1
             return LEARN
         if t >= settings[LOOK_S]:
-            if look_at_biases(bench, plan, nav, x, P, drive[5], now[TIME_S], *looking):
+            if check_gyro_biases(bench, plan, nav, x, P, drive[5], now[TIME_S], *looking):
                 cursor[READING] = e + 1
                 return LOOK
             settings[LOOK_S] = (math.floor(looking[2][bias_drift.TIME_S] / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S

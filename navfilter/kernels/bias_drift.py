@@ -23,7 +23,7 @@ LIMIT = 36.0  # a change beyond so many times its variance: six standard deviati
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def farthest(looks, now, walk, begin):
+def largest_change(looks, now, walk, begin):
     """How far a bias has moved at most since one of the looks (k, COLUMNS), the latest last: the square of that over
     its variance. That is what it has lost of its own meanwhile, and its walk (3,) has added in so many seconds, as much
     larger as the mean NIS since then, and `begin` (3,), which it may move by in any case.
@@ -44,7 +44,7 @@ def farthest(looks, now, walk, begin):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def keep(looks, now, gyros, x, P, calm):
+def compare_estimates(looks, now, gyros, x, P, calm):
     """Complete a look with the biases, hold it against those before, and put it behind them; True, and nothing is put
     there, where one has moved by more than it may.
 
@@ -63,7 +63,7 @@ def keep(looks, now, gyros, x, P, calm):
             for k in range(looks.shape[0]):
                 for j in range(COLUMNS):
                     looks[k, j] = math.nan
-        if farthest(looks, now, gyros[WALK], gyros[LEAST]) > LIMIT:
+        if largest_change(looks, now, gyros[WALK], gyros[LEAST]) > LIMIT:
             return True
     for k in range(last):
         for j in range(COLUMNS):

@@ -20,13 +20,13 @@ AXES = 6
 
 
 @njit(cache=True, error_model="numpy")
-def carry_jumps(bank, Phi):
+def propagate_jumps(bank, Phi):
     """Carry the errors over a compound transition (m, m) of the drive."""
     _carry(bank, Phi, int(0), Phi.shape[0])
 
 
 @njit(cache=True, error_model="numpy")
-def hear_jumps(bank, mem, dims, places, offset, says):
+def update_jumps(bank, mem, dims, places, offset, says):
     """Take a reading, as the filter left it in its channel's memory (see ``kalman.places``); returns the largest
     likelihood ratio of the drive's axes.
 

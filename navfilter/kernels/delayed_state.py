@@ -6,35 +6,27 @@ import math
 
 import numpy as np
 
-from navfilter.kernels import measurement, strapdown
+from navfilter.kernels import consistency, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
-from navfilter.kernels.compiling.registers import LANES, all_of, eight, if_below, load, put, store, times
+from navfilter.kernels.compiling.registers import LANES, all_of, eight, load, put, store, times
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 
-#: Rates and forces are means over this time: what vibrates faster is no motion [s].
-WINDOW_S = 0.2
 #: Slopes are means over this time at least: what is faster, a car on its springs or noise, tells no clock [s].
 SLOPE_S = 1.0
 #: And over so many standard deviations of the clock: between the outer two of three Gauss-Hermite points [1].
 SPREAD = 2.0 * math.sqrt(3.0)
-#: A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
-#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms, and a scale by 1 / k^2 at most [1].
-TOLD = 10.0
 #: What of a slope is left out stays so as long as a vehicle turns [s], and has as white noise the power of so many
 #: readings. A receiver's velocity whose error lasts for 3 s had its clock taken for none, at a sd of 7 ms, 50 to 210 ms
 #: off; mean squares over random vehicles are 1.7, by 1 s 2.2, by single readings 2.8 (DVL beams 4.0, 5.2, 5.3).
 LEFT_S = 4.0
-#: A lever arm is told from so many on, see `withhold`: by 10 of them, an arm of 0.5 m was drawn by 1.2 of its standard
-#: deviations in half an hour beside a micromechanical unit, by 15 it is 0.7, by 20 nothing of a swell is left [1].
-TOLD_ARM = 15.0
 #: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
 STEP = 1e-3
 #: So much more of the past is kept than the clock may be off: half of what a slope is taken over [s].
 MORE_S = 0.5
-#: Elements of what `sight` works in, but for those whose number the sensor says.
+#: Elements of what `delayed_reading` works in, but for those whose number the sensor says.
 ROOM = 149
 #: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
 #: many readings share what is left of a slope; from BY_ARM on what a lever arm does to its constants, row by row
@@ -119,7 +111,7 @@ def inertial_motion(recent, nav, drv, errors, rows, gravity):
 
 
 @njit(cache=True)
-def reckoned_motion(recent, nav, drv, errors, rows, gravity):
+def dead_reckoning_motion(recent, nav, drv, errors, rows, gravity):
     """As `inertial_motion`, of dead reckoning: turns and changes of the velocity from reading to reading; before
     them the newest goes on, and since what is held. The forces are accelerations.
     """
@@ -183,21 +175,21 @@ def _by_drive(now, then, B, late_s, outputs, u, row):
 
 
 @njit(cache=True, **UNCOUNTED)
-def slope_s(variance):
+def slope_window_s(variance):
     """Over what time the slope of a reading is taken whose clock has this variance [s]."""
     return max(SLOPE_S, SPREAD * math.sqrt(variance))
 
 
 @njit(cache=True, **UNCOUNTED)
-def lately(rows, rate):
-    """Mean of the angular rate (3,) over `WINDOW_S`, of the intervals but for the newest two: those have the noise
-    of the reading that is predicted. rows: see `inertial_motion`.
+def mean_rate(rows, rate):
+    """Mean of the angular rate (3,) over `consistency.WINDOW_S`, of the intervals but for the newest two: those have
+    the noise of the reading that is predicted. rows: see `inertial_motion`.
     """
     seconds = 0.0
     for j in range(3):
         rate[j] = 0.0
     for i in range(2, rows.shape[0]):
-        if rows[i, 0] <= 0.0 or seconds >= WINDOW_S:
+        if rows[i, 0] <= 0.0 or seconds >= consistency.WINDOW_S:
             break
         seconds += rows[i, 0]
         for j in range(3):
@@ -207,173 +199,18 @@ def lately(rows, rate):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _square(near, column):
-    """Of the length of a column, NaN being components that are missing."""
-    s = 0.0
-    for i in range(near.shape[0]):
-        if not math.isnan(near[i, column]):
-            s += near[i, column] * near[i, column]
-    return s
-
-
-@njit(cache=True, **UNCOUNTED)
-def lanes(count):
+def register_room(count):
     """So many numbers are as many registers of eight: their elements."""
     return (count + LANES - 1) // LANES * LANES
 
 
-@apart
 @njit(cache=True, **UNCOUNTED)
-def keep_constants(P, x, at, kept):
-    """Note what is known of constants from `at` on before a reading corrects, for `consider`.
-
-    kept (1 + constants, `lanes` of them): estimates; then their rows of P, from their columns on, or so many from
-    the end.
-    """
-    n, (rows, most), whole, to = P.shape[0], kept.shape, flat(P), flat(kept)
-    first = min(at, n - most)
-    for i in range(rows - 1):
-        kept[0, i] = x[at + i - 9]
-        for j in range(0, most, LANES):
-            put(to, (1 + i) * most + j, eight(whole, (at + i) * n + first + j))
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def consider(P, x, kept, at, untold):
-    """Take back what a reading has told of constants that are only considered (Schmidt, 1966): slopes and
-    correlations with all else stay, and they are known as before. The smoother takes them for constants that walk
-    by as much.
-
-    kept: see `keep_constants`; untold: of the states from `at` on, not 0 for those that are so.
-    """
-    n, most, whole, given = P.shape[0], kept.shape[1], flat(P), flat(kept)
-    first, meant = min(at, n - most), flat(scratch(np.float64, int(1), most))
-    for j in range(most):
-        meant[j] = untold[first + j - at] if 0 <= first + j - at < untold.size else 0.0
-    for i in range(untold.size):
-        if untold[i] == 0.0:
-            continue
-        x[at + i - 9] = kept[0, i]
-        for j in range(0, most, LANES):
-            place, before = (at + i) * n + first + j, eight(given, (1 + i) * most + j)
-            put(whole, place, if_below(all_of(0.0), eight(meant, j), before, eight(whole, place)))
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def withhold(P, x, near, kept, own, at, drv, Cr, untold):
-    """Have a lever arm only considered where its slopes do not stand out of the noise of the gyros.
-
-    A rate that is noise is in the attitude, too, and by gravity in what the next readings show: an arm would be
-    drawn by both, always to the same side.
-
-    near (a, 9 + parameters): slopes, those by the arm from column 9 + own on; at: where the arm stands in P; drv,
-    Cr: the drive's memory, and its white variances in the last column; untold (3,): work. The others: `consider`.
-    """
-    k = Cr.shape[1] - 1
-    if drv[strapdown.INERTIAL] == 0.0:
-        return
-    share = min(1.0, drv[strapdown.PERIOD_S] / WINDOW_S)
-    least = TOLD_ARM * TOLD_ARM * share * max(Cr[0, k], Cr[1, k], Cr[2, k])
-    for i in range(3):
-        untold[i] = 1.0 if _square(near, 9 + own + i) <= least else 0.0
-    consider(P, x, kept, at, untold)
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def withhold_hidden(P, x, H, K, kept, at, untold):
-    """Have constants only considered where what they do to a reading does not stand out of what the state's error
-    does to it: scales and misalignments of an inertial unit, and of wheels.
-
-    The slope by a scale of the unit is the sample itself, with the noise that has made the state err since: each
-    reading that shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other
-    constants explain, the slope stands in P, and so does the error. What is drawn draws others that go with it.
-
-    H (a, n), K (n, a): Jacobian and gain; untold (constants,): work. The others: `consider`.
-    """
-    a, known, first = H.shape[0], 0.0, min(at, P.shape[0] - kept.shape[1])
-    for c in range(a):
-        for i in range(H.shape[1]):
-            if H[c, i] != 0.0:
-                known += H[c, i] * K[i, c]
-    for i in range(untold.size):
-        before = kept[1 + i, at + i - first]
-        untold[i] = 1.0 if before - P[at + i, at + i] < TOLD * TOLD * known * before * before else 0.0
-    consider(P, x, kept, at, untold)
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def pushed(P, nav, drv, Cr, pushes, work):
-    """Covariance of an inertial unit's acceleration in n, into `pushes` (3, 3): by tilt and by errors of the
-    accelerometers, with all that is known of both. At rest a bias looks like an acceleration, and what a velocity
-    tells is the sum of them. work: 3 (k + 3) elements.
-    """
-    for i in range(3):
-        for j in range(3):
-            pushes[i, j] = 0.0
-    if drv[strapdown.INERTIAL] == 0.0:
-        return
-    k, g, count = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2]), 2
-    # errors that accelerate are few, tilts and states of the accelerometers: a row each of how, where it stands
-    J, which = shaped(work, k + 3, 3), flat(scratch(np.int64, int(1), k + 3))
-    J[0, 0], J[0, 1], J[0, 2], which[0] = 0.0, g, 0.0, 6
-    J[1, 0], J[1, 1], J[1, 2], which[1] = -g, 0.0, 0.0, 7
-    for s in range(k):
-        x, y, z = Cr[3, s], Cr[4, s], Cr[5, s]
-        if x != 0.0 or y != 0.0 or z != 0.0:
-            for i in range(3):
-                J[count, i] = -(nav[6 + 3 * i] * x + nav[7 + 3 * i] * y + nav[8 + 3 * i] * z)
-            which[count] = 9 + s
-            count += 1
-    for c in range(count):
-        for i in range(3):
-            with_c = 0.0
-            for r in range(count):
-                with_c += J[r, i] * P[which[r], which[c]]
-            for j in range(3):
-                pushes[i, j] += with_c * J[c, j]
-
-
-@njit(cache=True, **UNCOUNTED)
-def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, shared, near, R):
-    """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
-    drive's noise. The rest, which `shared` readings have in common, and what is not straight go into R (second
-    order, Gelb, 1974, sec. 6.1).
-
-    inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; gravity: 0 where
-    forces are accelerations; variance: of the clock; pushes (3, 3): see `pushed`.
-    """
-    k, last = Cr.shape[1] - 1, near.shape[1] - 1
-    by = drv[strapdown.PERIOD_S] / over_s if gravity != 0.0 else 2.0 / max(over_s, drv[strapdown.PERIOD_S]) ** 2
-    for i in range(near.shape[0]):
-        noise, growth, u = 0.0, 0.0, inner[i]
-        for j in range(9):
-            growth += u[j] * slope[1, j]
-        for j in range(3):
-            turned = u[6] * then[6 + j] + u[7] * then[9 + j] + u[8] * then[12 + j]
-            pushed = u[3] * then[6 + j] + u[4] * then[9 + j] + u[5] * then[12 + j]
-            noise += by * (turned * turned * Cr[j, k] + pushed * pushed * Cr[3 + j, k])
-        for j in range(3):
-            for r in range(3):
-                noise += u[3 + j] * pushes[j, r] * u[3 + r]
-        told, least = near[i, last], TOLD * TOLD * noise
-        if math.isnan(told):
-            continue  # there is no reading of this component
-        left = told if told * told <= least else least / told
-        near[i, last] -= left
-        R[i, i] += shared * variance * (noise + left * left) + 0.5 * (variance * growth) ** 2
-
-
-@njit(cache=True, **UNCOUNTED)
-def _asked(recent, late_s, long_s):
-    """How many of the drive's last samples `measurement.earlier` and `lately` ask for, with the one that the oldest
+def _samples_needed(recent, late_s, long_s):
+    """How many of the drive's last samples `measurement.earlier` and `mean_rate` ask for, with the one that the oldest
     of them is a mean with.
     """
     most = recent.shape[0]
-    over_s = min(long_s, max(2.0 * late_s, WINDOW_S))
+    over_s = min(long_s, max(2.0 * late_s, consistency.WINDOW_S))
     reach_s, count, age_s = max(late_s, 0.5 * over_s) + 0.5 * over_s, 1, 0.0
     while count < most and age_s < reach_s:
         age_s += max(recent[count, 0], 0.0)
@@ -383,8 +220,8 @@ def _asked(recent, late_s, long_s):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _sight(given, H, near, res, R, work):
-    """As `sight`; given: what it is told; work: what it has room in."""
+def _delayed_reading(given, H, near, res, R, work):
+    """As `delayed_reading`; given: what it is told; work: what it has room in."""
     equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes = given
     arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
     a, last = near.shape[0], near.shape[1] - 10
@@ -399,7 +236,7 @@ def _sight(given, H, near, res, R, work):
     inner, work = shaped(work[: a * (9 + own)], a, 9 + own), work[a * (9 + own) :]
     missing = False
     for i in range(z.size):
-        # what is not read has slopes, too: by how much it is known is asked, see `measurement.hold_unread`
+        # what is not read has slopes, too: by how much it is known is asked, see `consistency.limit_unread_slopes`
         missing |= math.isnan(z[i])
         whole[i] = 0.0 if math.isnan(z[i]) else z[i]
     for i in range(len(cfg)):
@@ -409,13 +246,13 @@ def _sight(given, H, near, res, R, work):
                 constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
     seen, turning, over_s = nav, rate, 0.0
     drive_outputs(drv, Cr, xd, outputs, errors)
-    long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
+    long_s = slope_window_s(variance) if clock else 2.0 * consistency.WINDOW_S
     late_s = since_s + par[last] if clock else 0.0
-    known = _asked(recent, late_s, long_s)
+    known = _samples_needed(recent, late_s, long_s)
     rows = shaped(work[: 7 * (known + 1)], known + 1, 7)
     addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
     if clock:
-        over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
+        over_s = measurement.earlier(nav, rows, gravity[0], late_s, consistency.WINDOW_S, long_s, then, turn, slope, B)
         seen, turning = then, turn[:3]
     addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
     for i in range(a):
@@ -437,7 +274,7 @@ def _sight(given, H, near, res, R, work):
         for j in range(3):
             told[j] = turn[j]
         if not clock:
-            lately(rows, told)
+            mean_rate(rows, told)
         if drv[strapdown.INERTIAL] == 0.0:
             # the attitude is a reading: what it errs by is in the position, too, see `strapdown._steady`
             for j in range(17):
@@ -466,11 +303,13 @@ def _sight(given, H, near, res, R, work):
         for i in range(a):
             near[i, 9 + last] -= (base[i] - ends[i]) / STEP
     if clock:
-        discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, pushes, facts[SHARED], near, R)
+        consistency.discount_clock(
+            inner, slope, then, drv, Cr, over_s, gravity[0], variance, pushes, facts[SHARED], near, R
+        )
 
 
 @njit(cache=True, **UNCOUNTED)
-def sight(
+def delayed_reading(
     equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
 ):
     """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
@@ -479,13 +318,14 @@ def sight(
     A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
     with respect to it is minus that of the reading with time, as the drive felt it then.
 
-    equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
-    sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-    drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3):
-    see `pushed`. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way
-    back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
+    equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `dead_reckoning_motion`; facts: of
+    the sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
+    drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3): see
+    `consistency.acceleration_covariance`. H (a, n) receives the derivatives with respect to the drive's states (a bias
+    bends the way back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond
+    that.
     """
     sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + len(z) + 2 * len(cfg) + 6 * len(xd)
     work = flat(scratch(np.float64, int(1), ROOM + sizes))
     given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes
-    _sight(given, H, near, res, R, work)
+    _delayed_reading(given, H, near, res, R, work)

@@ -68,7 +68,7 @@ JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference tu
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def look(samples, w, sd, limits, period_s, increments):
+def check_samples(samples, w, sd, limits, period_s, increments):
     """Look at samples in their order, and put what is known in place of what bad axes say: a gyro's rate is 0, an
     accelerometer's force that of a vehicle at rest.
 
@@ -80,9 +80,9 @@ def look(samples, w, sd, limits, period_s, increments):
     unit[NEWS] = 0.0
     while n < samples.shape[0] and unit[NEWS] == 0.0:
         if samples.shape[0] - n >= SEVERAL and _is_calm(w, period_s):
-            n = _look_at_ordinary(samples, n, w, sd, limits, period_s, increments)
+            n = _check_ordinary(samples, n, w, sd, limits, period_s, increments)
         if n < samples.shape[0] and unit[NEWS] == 0.0:
-            _look_at_axes(samples[n], w, sd, limits, period_s, increments)
+            _check_axes(samples[n], w, sd, limits, period_s, increments)
             _turn(samples[n], w, period_s, increments)
             n += 1
     return n
@@ -99,8 +99,8 @@ def _is_calm(w, period_s):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _look_at_ordinary(samples, n, w, sd, limits, period_s, increments):
-    """`_look_at_axes` of samples that find nothing, the six axes at once, from sample n on: to the bit what it does.
+def _check_ordinary(samples, n, w, sd, limits, period_s, increments):
+    """`_check_axes` of samples that find nothing, the six axes at once, from sample n on: to the bit what it does.
     Returns the first that may find something: it is not looked at yet; all have been if that has `NEWS`.
     """
     six = first_six(sd[0], sd[1], sd[2], sd[3], sd[4], sd[5])
@@ -169,7 +169,7 @@ def _look_at_ordinary(samples, n, w, sd, limits, period_s, increments):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _look_at_axes(sample, w, sd, limits, period_s, increments):
+def _check_axes(sample, w, sd, limits, period_s, increments):
     """What a sample says of each axis."""
     unit, dt = w[UNIT], sample[0]
     gap = not 0.2 * period_s < dt < 3.0 * period_s

@@ -8,9 +8,10 @@ import math
 
 import numpy as np
 
+from navfilter.kernels import consistency, symmetric
 from navfilter.kernels.compiling.decorators import apart, flat, njit, shaped
-from navfilter.kernels.compiling.registers import all_of, eight, not_zero, put, times
-from navfilter.kernels.compiling.vectors import WIDE, less_half, mirror, product, rank2_update, weighted
+from navfilter.kernels.compiling.registers import eight, not_zero
+from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_update, weighted
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -36,64 +37,7 @@ def _navigation(P, acc, T, A, head):
         for j in range(m):
             A[j, i] = T[i, j]
     _multiply(acc[:9], A, head)
-    _bend(P, head)
-
-
-@njit(cache=True, **UNCOUNTED)
-def _bend(P, head):
-    """Second-order term of the position by the heading, for as much as the way has grown: on another heading it is an
-    arc. It lies across the first-order one, along the way; half the way times the square of the heading's error, whose
-    mean square is 3/4 of the first-order covariance squared (Jazwinski, 1970, sec. 9.3: second-order filter).
-    """
-    before = P[0, 8] * P[0, 8] + P[1, 8] * P[1, 8]
-    north, east = head[0, 8], head[1, 8]
-    after = north * north + east * east
-    if after > before:
-        share = 0.75 * (after - before) / after
-        head[0, 0] += share * east * east
-        head[1, 1] += share * north * north
-        head[0, 1] -= share * north * east
-        head[1, 0] -= share * north * east
-
-
-@njit(cache=True, **UNCOUNTED)
-def turns_along(P, north, east):
-    """Whether this velocity is known in the vehicle's axes, so that by more than half it turns with the heading's
-    error. Fixes tell it from north on: then it does not.
-    """
-    return P[4, 8] * north - P[3, 8] * east >= 0.5 * P[8, 8] * (north * north + east * east)
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def discount_heading(P, acc, nav, own, work):
-    """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
-    the change of velocity is known by which it does so.
-
-    A heading error turns that change. But an error of tilt or of an accelerometer looks like one too, and as much of
-    its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
-    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
-
-    Not where the velocity turns with the heading before the fold, own: see `turns_along`. What was felt wrongly is in
-    that velocity, too, and turned by the same heading error. Nor beside a log (own 2): as much as is taken here from
-    what turns with the heading would be news to it, for it reads how the velocity changes in the vehicle's axes.
-    """
-    m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
-    if own > 1.0 or (own != 0.0 and turns_along(P, nav[3] - east, nav[4] + north)):
-        return
-    variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
-    for axis in (3, 4):
-        for i in range(m):
-            own[i] = acc[axis, i]
-        own[axis] -= 1.0
-        own[8] = 0.0
-        weighted(own, P, carried)
-        for i in range(m):
-            variance += carried[i] * own[i]
-    square = north * north + east * east
-    share = 1.0 - variance / square if square > variance else 0.0
-    for i in (0, 1, 3, 4):
-        acc[i, 8] *= share
+    consistency.arc_term(P, head)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -123,7 +67,7 @@ def present(P, acc, nav, inertial, own, work, out):
     m, n = acc.shape[1], P.shape[0]
     kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
     if inertial:
-        discount_heading(P, acc, nav, own, work)
+        consistency.discount_heading(P, acc, nav, own, work)
     T, A, head = shaped(work[: 9 * m], 9, m), shaped(work[9 * m :][: 9 * m], m, 9), work[18 * m :][:81]
     head = shaped(head, 9, 9)
     _navigation(P, acc, T, A, head)
@@ -147,37 +91,10 @@ def present(P, acc, nav, inertial, own, work, out):
 
 
 @njit(cache=True, **UNCOUNTED)
-def note(acc, mem):
+def store_transition(acc, mem):
     """The compound transition into a channel's memory, before it is folded: for the smoother, and for learning."""
     m = acc.shape[1]
-    _copy(flat(acc), mem[: m * m])
-
-
-@njit(cache=True, **UNCOUNTED)
-def _copy(of, to):
-    """The first of some numbers to others, eight at least. A loop over numbers goes one by one."""
-    last = to.size - WIDE
-    for i in range(0, last, WIDE):
-        put(to, i, eight(of, i))
-    put(to, last, eight(of, last))
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def _across(T, M, rows, begin):
-    """The columns from `begin` on of so many leading rows of T, eight at least, into M, and across its diagonal."""
-    n = M.shape[0]
-    if n - begin < WIDE:
-        for i in range(rows):
-            for j in range(begin, n):
-                M[i, j] = T[i, j]
-                M[j, i] = T[i, j]
-        return
-    for i in range(rows):
-        _copy(T[i][begin:], M[i][begin:])
-    for j in range(begin, n, WIDE):
-        for i in range(0, rows, WIDE):
-            mirror(M, min(i, rows - WIDE), min(j, n - WIDE))
+    symmetric.copy(flat(acc), mem[: m * m])
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -192,7 +109,7 @@ def _nonzero(numbers):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _moving(acc):
+def _moving_states(acc):
     """How many of the leading states a compound transition moves: those behind them are constants, which it leaves as
     they are, and which gather no noise.
     """
@@ -217,7 +134,7 @@ def fold(P, acc, nav, T):
     C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n)
     work.
     """
-    m, n, moving = acc.shape[1], P.shape[0], _moving(acc)
+    m, n, moving = acc.shape[1], P.shape[0], _moving_states(acc)
     # the drive's work areas in acc are free between its steps
     work = flat(acc[2 * m :])
     A, head, begins, ends = shaped(work[: 9 * m], m, 9), shaped(work[9 * m :][:81], 9, 9), work[-2 * m :], work[-m:]
@@ -244,7 +161,7 @@ def fold(P, acc, nav, T):
             for j in range(moving, n):
                 P[i, j] = T[i, j]
                 P[j, i] = T[i, j]
-    _across(T, P, int(9), moving)
+    symmetric.mirror_columns(T, P, int(9), moving)
     whole = flat(acc)
     for part in (whole[: moving * m], whole[m * m : (m + moving) * m]):
         for i in range(part.size):
@@ -269,7 +186,7 @@ def _orthonormal(nav, E):
 
 
 @njit(cache=True, **UNCOUNTED)
-def unmoved(A):
+def is_identity(A):
     """Whether a transition is the identity, and its noise zero if it stands below: A (m or 2m, m)."""
     m = A.shape[1]
     if A[0, 3] != 0.0:
@@ -327,7 +244,7 @@ def power(Phi, Q, count, W):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def tick(P, x, start, A, B, T):
+def advance_block(P, x, start, A, B, T):
     """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
     (b, n) work.
     """
@@ -335,7 +252,7 @@ def tick(P, x, start, A, B, T):
     for i in range(b):
         weighted(A[i], P[start:], T[i])
     for i in range(b):
-        _copy(T[i], P[start + i])
+        symmetric.copy(T[i], P[start + i])
     for i in range(b):
         for j in range(start):
             P[j, start + i] = T[i, j]
@@ -454,8 +371,8 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
     The tilts left over are expressed at the corrected heading: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left Jacobian;
     Markley, 2003), d the correction of the heading alone. That of the tilts is not among it where a velocity in the
     vehicle's axes tells them by gravity, whatever the heading is: by G a correction of tilt would become one of the
-    heading, whose sum over thousands of readings is information out of noise. Else see `turn_tilts`. K: (n, a) receives
-    the gain, turn: (1,) the heading's correction. T: (2a, n) work.
+    heading, whose sum over thousands of readings is information out of noise. Else see `consistency.turn_tilts`. K: (n,
+    a) receives the gain, turn: (1,) the heading's correction. T: (2a, n) work.
     """
     n, a = K.shape
     # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
@@ -489,63 +406,11 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
         nav[9 + j] = v + p * g + q * (z0 * f - x0 * h)
         nav[12 + j] = w + p * h + q * (x0 * g - y0 * f)
     turn[0] = z0
-    _reset(P, 0.5 * z0)
+    consistency.reset_heading(P, 0.5 * z0)
 
 
 @njit(cache=True, **UNCOUNTED)
-def _same(M, first):
-    """Three rows and columns symmetric to the last bit."""
-    for i in range(first, first + 3):
-        for j in range(first, i):
-            s = 0.5 * (M[i, j] + M[j, i])
-            M[i, j] = s
-            M[j, i] = s
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def _follow(M, first, last):
-    """Columns of a symmetric M become what its rows first to last, nine at most, are now; but not in those rows."""
-    n, high = M.shape[0], max(last, WIDE)
-    for j in range(high, n if n - high >= WIDE else high, WIDE):
-        mirror(M, high - WIDE, min(j, n - WIDE))
-    for i in range(first, last):
-        for j in range(first):
-            M[j, i] = M[i, j]
-        for j in range(last, high if n - high >= WIDE else n):
-            M[j, i] = M[i, j]
-
-
-@njit(cache=True, inline="always")
-def _both_tilts(whole, at, j, c, half):
-    """The rows of the two tilts, which begin at `at`, turned: eight numbers from j on of each."""
-    u, v = eight(whole, at[0] + j), eight(whole, at[1] + j)
-    return times(c, u) - times(half, v), times(c, v) + times(half, u)
-
-
-@njit(cache=True, **UNCOUNTED)
-def _reset(M, half):
-    """M <- G M G' for the rotation of the tilts by half of what the heading turns, to second order. M: symmetric."""
-    n, whole, c = M.shape[0], flat(M), 1.0 - 2.0 * half * half / 3.0
-    at, many, by = (6 * n, 7 * n), all_of(c), all_of(half)
-    last = n - WIDE
-    u, v = _both_tilts(whole, at, last, many, by)  # overlaps those before
-    for j in range(0, last, WIDE):
-        p, q = _both_tilts(whole, at, j, many, by)
-        put(whole, at[0] + j, p)
-        put(whole, at[1] + j, q)
-    put(whole, at[0] + last, u)
-    put(whole, at[1] + last, v)
-    _follow(M, int(6), int(8))
-    for i in range(6, 8):
-        a, b = M[i, 6], M[i, 7]
-        M[i, 6] = c * a - half * b
-        M[i, 7] = c * b + half * a
-    _same(M, int(6))
-
-
-@njit(cache=True, **UNCOUNTED)
-def places(dims):
+def memory_offsets(dims):
     """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near,
     verdict, work, and the end.
 
@@ -574,8 +439,8 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     `mem`. model: (2, b, b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
-    work = places(dims)[9]
-    if unmoved(acc[: 2 * m]):
+    work = memory_offsets(dims)[9]
+    if is_identity(acc[: 2 * m]):
         _orthonormal(nav, mem[work : work + 9])
     else:
         fold(P, acc, nav, shaped(mem[work : work + m * n], m, n))
@@ -586,15 +451,15 @@ def predict(P, nav, x, acc, model, mem, dims, count):
         for i in range(b):
             for j in range(b):
                 A[i, j] = model[0, i, j]
-        tick(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
+        advance_block(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
     elif count > 1:
-        end = places(dims)[10]
+        end = memory_offsets(dims)[10]
         W = mem[end - 4 * b * b : end].reshape((4, b, b))
         power(model[0], model[1], count, W)
         for i in range(b):
             for j in range(b):
                 A[i, j] = W[0, i, j]
-        tick(P, x, start, A, W[1], shaped(mem[work : work + b * n], b, n))
+        advance_block(P, x, start, A, W[1], shaped(mem[work : work + b * n], b, n))
     else:
         for i in range(b):
             for j in range(b):
@@ -610,12 +475,13 @@ def update(P, nav, x, C, R, mem, dims, limits):
     H of the drive's states is what the caller has left there (0 but for readings of the past). C: (a, errors) output
     rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
     first says more than which share of the components has to remain when single ones that contradict the others are
-    left out, infinite: none ever is. dims: those of `places`, then where a deviation begins, see `turn_deviation`; 0:
-    none (below it: what the caller turns, see `turn_current`). Leaves the verdict: NIS, components used, 1 if the state
-    was corrected, then residuals (NaN where missing) and their variances (NaN also where left out).
+    left out, infinite: none ever is. dims: those of `memory_offsets`, then where a deviation begins, see
+    `consistency.turn_deviation`; 0: none (below it: what the caller turns, see `consistency.turn_current`). Leaves the
+    verdict: NIS, components used, 1 if the state was corrected, then residuals (NaN where missing) and their variances
+    (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
-    iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
+    iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = memory_offsets(dims)
     H, near, res = shaped(mem[iH : iH + a * n], a, n), shaped(mem[ine:iv], a, 9 + par), mem[ir : ir + a]
     for i in range(a):
         for j in range(errors):
@@ -641,161 +507,10 @@ def update(P, nav, x, C, R, mem, dims, limits):
     T = shaped(mem[iw : iw + 2 * a * n], 2 * a, n)
     correct(P, nav, x, res, S, PH, shaped(mem[iK:ii], n, a), mem[it : it + 1], T)
     if dims[7] > 0:
-        turn_deviation(P, mem[iK:ii], res[0], dims[7])
+        consistency.turn_deviation(P, mem[iK:ii], res[0], dims[7])
     for i in range(a):
         for j in range(a):
             mem[ii + i * a + j] = S[a + i, j]
-
-
-@njit(cache=True, inline="always")
-def _with_turned(whole, n, first, of, j, x, y, z):
-    """Eight numbers from column j on of three rows, with the cross products added: see `_add_turned`."""
-    u, v, w = eight(whole, of * n + j), eight(whole, (of + 1) * n + j), eight(whole, (of + 2) * n + j)
-    a, b, c = eight(whole, first * n + j), eight(whole, (first + 1) * n + j), eight(whole, (first + 2) * n + j)
-    return (
-        a + (times(v, z) - times(w, y)),
-        b + (times(w, x) - times(u, z)),
-        c + (times(u, y) - times(v, x)),
-    )
-
-
-@njit(cache=True, **UNCOUNTED)
-def _add_turned(M, first, of, x, y, z):
-    """Add to three rows and columns of M, which is symmetric, the cross products of three others with (x, y, z)."""
-    n, whole, p, q, r = M.shape[0], flat(M), all_of(x), all_of(y), all_of(z)
-    last = n - WIDE
-    d, e, f = _with_turned(whole, n, first, of, last, p, q, r)  # overlaps those before
-    for j in range(0, last, WIDE):
-        a, b, c = _with_turned(whole, n, first, of, j, p, q, r)
-        put(whole, first * n + j, a)
-        put(whole, (first + 1) * n + j, b)
-        put(whole, (first + 2) * n + j, c)
-    put(whole, first * n + last, d)
-    put(whole, (first + 1) * n + last, e)
-    put(whole, (first + 2) * n + last, f)
-    _follow(M, first, first + 3)
-    for j in range(first, first + 3):
-        u, v, w = M[j, of], M[j, of + 1], M[j, of + 2]
-        M[j, first] += v * z - w * y
-        M[j, first + 1] += w * x - u * z
-        M[j, first + 2] += u * y - v * x
-    _same(M, first)
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def turn_velocity(P, nav, before, change):
-    """After a velocity in the vehicle's axes has changed the estimate: what a rotation does to the velocity it also
-    does to the change. before: the three of the velocity until then; change (3,) is written for the smoother.
-
-    What is known is the velocity in the vehicle's axes. An error psi of the attitude turns it, by ``psi x v``, so the
-    covariance with the attitude has to follow v. Else what a reading changes would be something that does not turn with
-    the rest, and the next reading would tell the heading from the noise of this one; an invariant error state (Barrau
-    and Bonnabel, 2017, IEEE Trans. Automatic Control 62) has that by its coordinates.
-    """
-    north, east, down = nav[3] - before[0], nav[4] - before[1], nav[5] - before[2]
-    change[0], change[1], change[2] = north, east, down
-    _add_turned(P, int(3), int(6), north, east, down)
-
-
-@njit(cache=True, **UNCOUNTED)
-def _reset_tilts(M, p, q):
-    """M <- G M G' for the rotation of the attitude by half a change of the tilts, to first order. M: symmetric."""
-    n = M.shape[0]
-    for j in range(n):
-        u, v, w = M[6, j], M[7, j], M[8, j]
-        M[6, j], M[7, j], M[8, j] = u + q * w, v - p * w, w + p * v - q * u
-    _follow(M, int(6), int(9))
-    for i in range(6, 9):
-        u, v, w = M[i, 6], M[i, 7], M[i, 8]
-        M[i, 6], M[i, 7], M[i, 8] = u + q * w, v - p * w, w + p * v - q * u
-    _same(M, int(6))
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def turn_tilts(P, K, res, change):
-    """After a reading where no velocity in the vehicle's axes has been used: the attitude's error left over is
-    expressed at the corrected tilts, too, by the first order of the Jacobian of `correct`.
-
-    Fixes tell tilts in north and east, by how the velocity changes. What is left of a tilt's error has a part about the
-    axis that the heading turns about; without it the tilt was surer of the heading than it could be. K (n, a), res
-    (a,): gain and residuals of the reading; change (2,) is written for the smoother.
-    """
-    north, east = 0.0, 0.0
-    for r in range(len(res)):
-        north += K[6, r] * res[r]
-        east += K[7, r] * res[r]
-    change[0], change[1] = north, east
-    _reset_tilts(P, 0.5 * north, 0.5 * east)
-
-
-@njit(cache=True, **UNCOUNTED)
-def _deviated(K, res, first):
-    """What turning by one does to the change of a deviation: to sine and cosine of the heading, and of twice it."""
-    return K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def _turn(P, by, first):
-    """Let states from `first` on follow an error of the heading: `by` is what turning by one does to the change of
-    each. P is symmetric.
-    """
-    n, whole, end = P.shape[0], flat(P), first + len(by)
-    own, last = 8 * n, n - WIDE
-    for i in range(len(by)):
-        row, f = (first + i) * n, all_of(by[i])
-        overlapping = eight(whole, row + last) + times(f, eight(whole, own + last))
-        for j in range(0, last, WIDE):
-            put(whole, row + j, eight(whole, row + j) + times(f, eight(whole, own + j)))
-        put(whole, row + last, overlapping)
-    _follow(P, first, end)
-    for j in range(first, end):
-        f = P[j, 8]
-        for i in range(len(by)):
-            P[j, first + i] += by[i] * f
-    for i in range(first, end):
-        for j in range(first, i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def turn_deviation(P, K, res, first):
-    """After a compass has changed its own deviation: what an error of the heading does to the deviation it also does to
-    the change. K (n,): its gain; first: where sine and cosine of the heading, and of twice it, begin.
-
-    Readings tell no heading from a deviation: were the vehicle turned by psi, a bias less by psi and a deviation that
-    is turned with it would have them read the same. So errors of the heading and of the deviation go together by what
-    that is, and have to follow it. Else each reading would tell a little of the heading by how its slope has changed
-    (Huang, Mourikis and Roumeliotis, 2010, International Journal of Robotics Research 29).
-    """
-    _turn(P, _deviated(K, res, first), first)
-
-
-@njit(cache=True, **UNCOUNTED)
-def _carried(K, res, first):
-    """What turning by one does to the change of a current north and east: K (n, a), res (a,)."""
-    north, east = 0.0, 0.0
-    for r in range(len(res)):
-        north += K[first, r] * res[r]
-        east += K[first + 1, r] * res[r]
-    return -east, north
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def turn_current(P, K, res, first):
-    """With `turn_velocity`: a current, north and east from `first` on, turns with the heading as the velocity does.
-
-    A log knows the difference of the two in the vehicle's axes. What a reading makes of it is mostly a change of the
-    one that is known less, the current; did that not follow the heading, the next reading would tell the heading from
-    the noise of this one. K (n, a), res (a,): gain and residuals of the reading.
-    """
-    _turn(P, _carried(K, res, first), first)
 
 
 @apart
@@ -869,9 +584,9 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a
     x a), res (a), the turn of the heading, the change of velocity that turns with it (3) and that of the tilts (2, see
-    `turn_tilts`), each row by row. `start` is the ticked block's place, b its size (0: none); deviation: see
-    `turn_deviation`, or less the place of a current, see `turn_current`; 0: none. L (n, n) and lam (n,) change; T work,
-    n columns and three times as many rows, at least 3a.
+    `consistency.turn_tilts`), each row by row. `start` is the ticked block's place, b its size (0: none); deviation:
+    see `consistency.turn_deviation`, or less the place of a current, see `consistency.turn_current`; 0: none. L (n, n)
+    and lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -884,22 +599,22 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
         half = 0.5 * record[at + a * a + a]
         p, q = 0.5 * record[at + a * a + a + 4], 0.5 * record[at + a * a + a + 5]
         if p != 0.0 or q != 0.0:
-            _reset_tilts(L, -p, -q)
+            consistency.reset_tilts(L, -p, -q)
             u, v, w = lam[6], lam[7], lam[8]
             lam[6], lam[7], lam[8] = u - q * w, v + p * w, w + q * u - p * v
         if deviation > 0:
-            _turn_back(L, lam, _deviated(K[:, 0], res[0], deviation), deviation)
+            consistency.turn_back(L, lam, consistency.deviation_change(K[:, 0], res[0], deviation), deviation)
         x, y, z = record[at + a * a + a + 1], record[at + a * a + a + 2], record[at + a * a + a + 3]
-        if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `turn_velocity`
-            _add_turned(L, int(6), int(3), -x, -y, -z)
+        if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `consistency.turn_velocity`
+            consistency.add_turned(L, int(6), int(3), -x, -y, -z)
             u, v, w = lam[3], lam[4], lam[5]
             lam[6] += y * w - z * v
             lam[7] += z * u - x * w
             lam[8] += x * v - y * u
             if deviation < 0:
-                _turn_back(L, lam, _carried(K, res, -deviation), -deviation)
+                consistency.turn_back(L, lam, consistency.current_change(K, res, -deviation), -deviation)
         if half != 0.0:
-            _reset(L, -half)
+            consistency.reset_heading(L, -half)
             c, u, v = 1.0 - 2.0 * half * half / 3.0, lam[6], lam[7]
             lam[6] = c * u + half * v
             lam[7] = c * v - half * u
@@ -933,21 +648,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     if m > 0:
         _head_transposed(L, lam, shaped(record[: m * m], m, m), flat(T))
         return
-    _same(L, int(6))
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def _turn_back(L, lam, by, first):
-    """`_turn` backward."""
-    n = len(lam)
-    for i in range(len(by)):
-        lam[8] += by[i] * lam[first + i]
-        for j in range(n):
-            L[8, j] += by[i] * L[first + i, j]
-    for i in range(len(by)):
-        for j in range(n):
-            L[j, 8] += by[i] * L[j, first + i]
+    symmetric.symmetrise(L, int(6))
 
 
 @apart
@@ -1041,7 +742,7 @@ def _head_transposed(L, lam, Phi, work):
             s = 0.5 * (A[i, j] + A[j, i])
             L[i, j] = s
             L[j, i] = s
-    _across(T, L, m, m)
+    symmetric.mirror_columns(T, L, m, m)
 
 
 @apart

@@ -21,19 +21,6 @@ PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 o
 # Squares of angles [rad^2] below which a rotation is a series, and one by the factorials in it.
 SMALL_ANGLE2, P3, P5, P7 = 1e-3, 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0
 Q4, Q6, Q8 = 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
-# By so many standard deviations of the velocity its slopes may be off, see `hold_slopes`.
-HELD = 3.0
-# A component that is not read counts beyond so many, see `hold_unread`. One would do for errors that change from
-# reading to reading, but a tilt's lasts: a tactical unit with forward speed, fixes and a heading known to 5 deg had a
-# heading NEES of 150 by that, of 2.3 by this, of 1450 with the slope as it is [1].
-UNREAD = 3.0
-# And so much of the difference they follow all the same at each reading: over 50 readings their noise is a mean.
-# By 0.005 and by 0.05 a mounting beside a micromechanical unit had a NEES of 3 and 1.8, by this 1.4 [1].
-FOLLOWED = 0.02
-# Mean square of half a cube, in cubes of the variance [1]: by so much the cosine of an azimuth changes its slope.
-CUBE = 15.0 / 4.0
-# That of a place by its clock: fixes of centimetres had a NEES of 2.4 by this, of 4.6 by 0.02, of 2.3 by 0 [1].
-STEADY = 0.002
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -127,100 +114,6 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
         H[0, m], H[1, m], H[2, m] = g0 * (j11 * t2 - j21 * t1), g1 * (j21 * t0 - j01 * t2), g2 * (j01 * t1 - j11 * t0)
         m += 1
         H[0, m], H[1, m], H[2, m] = g0 * (j12 * t2 - j22 * t1), g1 * (j22 * t0 - j02 * t2), g2 * (j02 * t1 - j12 * t0)
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def hold_slopes(P, near, held, begin, first, turned):
-    """Slopes of a velocity by its scale and misalignment, which are velocities themselves: they follow the velocity no
-    closer than it is known.
-
-    The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
-    nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
-    1987, sec. 1.1). So a slope goes to the new one slowly, unless that is further off than `HELD` sd of the velocity.
-    Were it to stay, a turn would leave it off by as much, and each leg would tell something else of the constant. near
-    (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the reading before. first:
-    where the sensor's parameters stand in P; turned: by how much the noise of the gyros moves the instrument [m^2/s^2],
-    the largest of its axes. Those before `begin` are a current: of the velocity through the water it
-    is the difference that counts, which a log tells well where velocity and current are both unknown.
-    """
-    most = 0.0
-    for i in range(near.shape[0]):
-        variance = 0.0
-        for j in range(9 + begin):
-            f, row = near[i, j], j if j < 9 else first + j - 9
-            if f != 0.0:
-                s = 0.0
-                for k in range(9):
-                    s += P[row, k] * near[i, k]
-                for k in range(begin):
-                    s += P[row, first + k] * near[i, 9 + k]
-                variance += f * s
-        most = max(most, variance)
-    band = HELD * math.sqrt(most + turned)
-    for i in range(near.shape[0]):
-        for j in range(held.shape[1]):
-            new, old = near[i, 9 + begin + j], held[i, j]
-            near[i, 9 + begin + j] = old + FOLLOWED * (new - old) if abs(new - old) <= band else new
-
-
-@apart
-@njit(cache=True, **UNCOUNTED)
-def hold_unread(P, near, res, first):
-    """Slopes of a velocity by the attitude, where not all components are read: one that is not counts as far as it
-    stands out of its own uncertainty. Whether three are read at least.
-
-    An error of the attitude turns the component that nobody reads into one that is read. But what is known of it comes
-    from elsewhere, through the same attitude: it errs, and as much of its square as is error would be information
-    about the attitude out of nothing (Fuller, 1987, sec. 1.1). near (a, 9 + parameters), res (a,): NaN where a
-    component is not read; first: where the sensor's parameters stand in P. Beams, none of which is orthogonal to
-    another, are left alone.
-    """
-    count = 0
-    for i in range(res.size):
-        count += not math.isnan(res[i])
-    if res.size != 3 or count == 3:
-        return count >= 3
-    for j in range(3):
-        if not math.isnan(res[j]):
-            continue
-        variance = 0.0
-        for i in range(near.shape[1]):
-            row, s = i if i < 9 else first + i - 9, 0.0
-            for k in range(near.shape[1]):
-                s += P[row, k if k < 9 else first + k - 9] * near[j, k]
-            variance += near[j, i] * s
-        for i in range(3):
-            if math.isnan(res[i]):
-                continue
-            n0 = near[i, 4] * near[j, 5] - near[i, 5] * near[j, 4]
-            n1 = near[i, 5] * near[j, 3] - near[i, 3] * near[j, 5]
-            n2 = near[i, 3] * near[j, 4] - near[i, 4] * near[j, 3]
-            unread = near[i, 6] * n0 + near[i, 7] * n1 + near[i, 8] * n2
-            less = unread if unread * unread <= UNREAD * UNREAD * variance else UNREAD * UNREAD * variance / unread
-            near[i, 6] -= less * n0
-            near[i, 7] -= less * n1
-            near[i, 8] -= less * n2
-    return False
-
-
-@njit(cache=True, **UNCOUNTED)
-def hold_clock(P, near, held, column):
-    """The slope of a place by the clock that it is stamped with is a velocity, and follows that no closer than it is
-    known, as those of `hold_slopes`.
-
-    Each fix moves the velocity of the state, too: such steps would be changes of velocity that tell the clock. near
-    (a, 9 + parameters), of which `column` is the clock's; held (a,): that of the reading before. Readings that see no
-    place are left alone: what they see changes with samples of the drive.
-    """
-    for i in range(near.shape[0]):
-        variance = 0.0
-        for j in range(3):
-            for k in range(3):
-                variance += near[i, j] * P[3 + j, 3 + k] * near[i, k]
-        new, old = near[i, column], held[i]
-        if variance > 0.0 and abs(new - old) <= HELD * math.sqrt(variance):
-            near[i, column] = old + STEADY * (new - old)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -440,7 +333,7 @@ def slant_range(z, nav, rate, par, cfg, H, res):
 
     z: distance [m], number of the beacon from 0. cfg: the Earth's radius [m] and squared eccentricity, lever arm (3),
     where in par scale, offsets (one a beacon) and errors of the beacons north, east, down (three each) begin, -1 for
-    none; then the beacons in the Earth's axes [m], and what `range_bend` needs.
+    none; then the beacons in the Earth's axes [m], and what `consistency.range_second_order` needs.
     """
     _clear(H)
     A, p, d, a = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
@@ -473,125 +366,6 @@ def slant_range(z, nav, rate, par, cfg, H, res):
     if offset >= 0:
         res[0] -= par[offset + beacon]
         H[0, 9 + offset + beacon] = 1.0
-
-
-@njit(cache=True)
-def range_bend(z, near, P, first, cfg, R):
-    """What the linear equation of `slant_range` leaves out, added to R (1, 1): the distance grows when its ends move
-    across the line of sight too (Gelb, 1974, sec. 6.1).
-
-    It is the same until the line of sight has turned: as white noise it gets the power of so many readings, the last of
-    cfg. near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on.
-    """
-    apart, place = np.empty((3, 3)), int(cfg[7])
-    at = first + place + 3 * int(z[1])
-    for i in range(3):
-        for j in range(3):
-            apart[i, j] = P[i, j]
-            if place >= 0:
-                apart[i, j] += P[at + i, at + j] - P[i, at + j] - P[at + i, j]
-    R[0, 0] += max(1.0, cfg[cfg.size - 1] * z[0]) * _sagitta(near, z[0], apart)
-
-
-@njit(cache=True)
-def deviation_bend(z, near, P, first, cfg, R):
-    """What the linear equation of a compass leaves out of its deviation, added to R (1, 1): an error of the heading
-    changes what one of the deviation does (Gelb, 1974, sec. 6.1).
-
-    A compass that errs slowly and scatters little seems to be read exactly; without this term, deviations of degrees
-    beside a heading known to one were learnt from it. Arguments as for `iron_bend`.
-    """
-    s1, c1, s2, c2 = near[0, 10], near[0, 11], near[0, 12], near[0, 13]
-    turns, own, both = (c1, -s1, 2.0 * c2, -2.0 * s2), 0.0, 0.0
-    for i in range(4):
-        both += turns[i] * P[8, first + 1 + i]
-        for j in range(4):
-            own += turns[i] * P[first + 1 + i, first + 1 + j] * turns[j]
-    R[0, 0] += cfg[4] * (own * P[8, 8] + both * both)
-
-
-@njit(cache=True)
-def tilt_bend(z, near, P, first, cfg, R):
-    """What the linear equation of `magnetometer` leaves out of the tilt, added to R (1, 1): a tilt along the azimuth
-    changes what one across it does, by the tangent of the dip each (Gelb, 1974, sec. 6.1).
-
-    After the first readings the heading follows the tilt, and what is measured of both is known, however little each of
-    them is: the tilt counts by itself. Arguments as for `iron_bend`; it is the same as long as that is.
-    """
-    a0, a1 = near[0, 6], near[0, 7]  # across the azimuth; along it (a1, -a0)
-    aa = a0 * a0 * P[6, 6] + 2.0 * a0 * a1 * P[6, 7] + a1 * a1 * P[7, 7]
-    bb = a1 * a1 * P[6, 6] - 2.0 * a0 * a1 * P[6, 7] + a0 * a0 * P[7, 7]
-    ab = a0 * a1 * (P[6, 6] - P[7, 7]) + (a1 * a1 - a0 * a0) * P[6, 7]
-    R[0, 0] += cfg[5] * (aa * bb + 2.0 * ab * ab + CUBE * aa * aa * aa)
-
-
-@njit(cache=True)
-def iron_bend(z, near, P, first, cfg, R):
-    """What the linear equation of `magnetometer` leaves out of its iron, added to R (1, 1): an error of the field along
-    the azimuth changes what one across it does (Gelb, 1974, sec. 6.1).
-
-    It is the same as long as the vehicle does not turn: as white noise it gets the power of so many readings, cfg[5].
-    near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on. Deviation is in
-    it where there is any, see `deviation_bend`.
-    """
-    hard, soft = int(cfg[2]), int(cfg[3])
-    tilt_bend(z, near, P, first, cfg, R)
-    if hard != 0 and soft != 0:
-        deviation_bend(z, near, P, first, cfg, R)
-    m0, m1, m2, s = z[0], z[1], z[2], 9 + soft
-    if hard >= 0:
-        p0, p1, p2 = -near[0, 9 + hard], -near[0, 10 + hard], -near[0, 11 + hard]
-    else:
-        by = 1.0 / max(m0 * m0 + m1 * m1, 1e-300)
-        p0 = by * (near[0, s] * m0 + near[0, s + 2] * m1)
-        p1 = by * (near[0, s + 2] * m0 - near[0, s] * m1)
-        p2 = by * ((near[0, s + 3] - p0 * m2) * m0 + (near[0, s + 4] - p1 * m2) * m1)
-    # p: across the azimuth, level; u: along it
-    h = 1.0 / math.sqrt(max(p0 * p0 + p1 * p1 + p2 * p2, 1e-300))
-    p0, p1, p2 = h * p0, h * p1, h * p2
-    down = math.sqrt(max(m0 * m0 + m1 * m1 + m2 * m2 - h * h, 0.0))
-    if near[0, 6] * math.cos(cfg[0]) + near[0, 7] * math.sin(cfg[0]) > 0.0:
-        down = -down
-    by = 1.0 / (h * h + down * down)
-    u0 = by * (h * m0 + down * (p1 * m2 - p2 * m1))
-    u1 = by * (h * m1 + down * (p2 * m0 - p0 * m2))
-    u2 = by * (h * m2 + down * (p0 * m1 - p1 * m0))
-    k = near.shape[1] - 9
-    across, along = np.zeros(k), np.zeros(k)
-    for row, q0, q1, q2 in ((across, p0, p1, p2), (along, u0, u1, u2)):
-        if hard >= 0:
-            row[hard], row[hard + 1], row[hard + 2] = -q0, -q1, -q2
-        if soft >= 0:
-            row[soft], row[soft + 1], row[soft + 2] = q0 * m0 - q1 * m1, q2 * m2, q0 * m1 + q1 * m0
-            row[soft + 3], row[soft + 4] = q0 * m2 + q2 * m0, q1 * m2 + q2 * m1
-    pp, pu, uu = 0.0, 0.0, 0.0
-    for i in range(k):
-        for j in range(k):
-            c = P[first + i, first + j]
-            pp, pu, uu = pp + across[i] * c * across[j], pu + across[i] * c * along[j], uu + along[i] * c * along[j]
-    R[0, 0] += cfg[5] * (pp * uu + 2.0 * pu * pu) / (h * h * h * h)
-
-
-@njit(cache=True)
-def _sagitta(near, distance, P):
-    """Variance of what a distance grows by when its ends move across it, mean included [m^2].
-
-    near: its slope along the line of sight, in the first row; P (3, 3): covariance of where the ends stand against each
-    other [m^2].
-    """
-    length = math.sqrt(near[0, 0] ** 2 + near[0, 1] ** 2 + near[0, 2] ** 2)
-    by, bend, trace, square = 1.0 / max(length, 1e-12), np.empty((3, 3)), 0.0, 0.0
-    for i in range(3):
-        for j in range(3):
-            s = 0.0
-            for r in range(3):
-                s += ((1.0 if i == r else 0.0) - near[0, i] * by * near[0, r] * by) * P[r, j]
-            bend[i, j] = s / max(distance, 1e-3)
-    for i in range(3):
-        trace += bend[i, i]
-        for j in range(3):
-            square += bend[i, j] * bend[j, i]
-    return 0.5 * square + 0.25 * trace * trace
 
 
 @njit(cache=True)
@@ -676,35 +450,6 @@ def usbl(z, nav, rate, par, cfg, H, res):
                 H[k, 9 + ship + j] = H[k, j]
         h0, h1, h2 = H[k, 0], H[k, 1], H[k, 2]
         H[k, 6], H[k, 7], H[k, 8] = a[1] * h2 - a[2] * h1, a[2] * h0 - a[0] * h2, a[0] * h1 - a[1] * h0
-
-
-@njit(cache=True)
-def usbl_bend(z, near, P, first, cfg, R):
-    """What the linear equation of `usbl` leaves out, added to R (3, 3): of a distance, and of a direction, which turns
-    faster the nearer the vehicle may be. Arguments as for `range_bend`.
-    """
-    length, across = 0.0, 0.0
-    for i in range(3):
-        length += near[0, i] ** 2
-        across += near[1, i] ** 2
-    by = 1.0 / max(math.sqrt(length), 1e-12)
-    distance = z[0] if math.isfinite(z[0]) else 1.0 / max(math.sqrt(across), 1e-9)
-    shared = max(1.0, cfg[cfg.size - 1] * distance)
-    R[0, 0] += shared * _sagitta(near, distance, P)
-    bend = np.empty((3, 3))
-    for k in range(1, 3):
-        trace, square = 0.0, 0.0
-        for i in range(3):
-            for j in range(3):
-                s = 0.0
-                for r in range(3):
-                    s += (near[k, i] * near[0, r] + near[0, i] * near[k, r]) * P[r, j]
-                bend[i, j] = s * by / max(distance, 1e-3)
-        for i in range(3):
-            trace += bend[i, i]
-            for j in range(3):
-                square += bend[i, j] * bend[j, i]
-        R[k, k] += shared * (0.5 * square + 0.25 * trace * trace)
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -57,7 +57,7 @@ def facts_size(axes):
 
 @njit(cache=True, **UNCOUNTED)
 def _walked(dt, Cr, period_s):
-    """Variance by which the noise of accelerometers errs in a time [m^2/s^2]; Cr: see `past.drive_outputs`."""
+    """Variance by which the noise of accelerometers errs in a time [m^2/s^2]; Cr: see `delayed_state.drive_outputs`."""
     last = Cr.shape[1] - 1
     return max(Cr[3, last], Cr[4, last], Cr[5, last]) * period_s * dt
 
@@ -94,7 +94,7 @@ def _put(values, count, value):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _usual(values, count):
+def _median_square(values, count):
     """Mean of squares of normal variables, in order; 0 where they are too few."""
     if count < LEAST:
         return 0.0
@@ -106,7 +106,7 @@ def _usual(values, count):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def beyond(bends, axis, latest, newest, white, work):
+def excess_variance(bends, axis, latest, newest, white, work):
     """What a sensor scatters by beyond its variance in one axis: 0 where it does not, or where nobody can tell.
 
     bends (`MOST`, 2a): second differences of its readings, NaN where a component was missing, then what else than its
@@ -121,7 +121,7 @@ def beyond(bends, axis, latest, newest, white, work):
             _put(ratios, count, row[axis] ** 2 / WHITE / max(white + row[a + axis], LEAST_VARIANCE))
             _put(slack, count, row[a + axis])
             count += 1
-    ratio = _usual(ratios, count)
+    ratio = _median_square(ratios, count)
     if ratio > NO_NOISE:
         return math.inf
     if not ratio > LARGER:
@@ -132,7 +132,7 @@ def beyond(bends, axis, latest, newest, white, work):
         if math.isfinite(row[axis]) and row[a + axis] <= middle:
             _put(squares, telling, row[axis] ** 2 / WHITE - row[a + axis])
             telling += 1
-    return min(max(_usual(squares, telling) - white, (LARGER - 1.0) * white), NO_NOISE * white)
+    return min(max(_median_square(squares, telling) - white, (LARGER - 1.0) * white), NO_NOISE * white)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -163,7 +163,7 @@ def _by_description(mem, S, note, excess, work):
 
 
 @njit(cache=True, **UNCOUNTED)
-def widen(kept, facts, variance, axes):
+def widen_variance(kept, facts, variance, axes):
     """Put the white variances of a reading, with what its sensor scatters by beyond them, into their room in `facts`;
     `variance`: its own, NaN for those of the error model.
     """
@@ -174,7 +174,7 @@ def widen(kept, facts, variance, axes):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
+def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
     """Take a reading, as its correction left it, and return its NIS by the description of its sensor.
 
     kept, facts: as described at the head of this file; mem: working memory of its channel, in which its S and what its
@@ -228,9 +228,9 @@ def heard(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
         plain[i] = R[i, i] - (excess[i] if added else 0.0)
         if facts[LASTING] == 0.0:
             plain[i] += (facts[BY_AXIS + i] + slack) * STEP / WHITE
-        found |= beyond(bends, i, min(count, ENDS), newest, plain[i], work) != 0.0
+        found |= excess_variance(bends, i, min(count, ENDS), newest, plain[i], work) != 0.0
     for i in range(a):
-        excess[i] = beyond(bends, i, count, newest, plain[i], work) if found else 0.0
+        excess[i] = excess_variance(bends, i, count, newest, plain[i], work) if found else 0.0
     found = False
     for i in range(a):
         found |= excess[i] != 0.0

@@ -47,7 +47,7 @@ EVEN = 1e-24
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def attend(ear, nis, dof, ticks, learning):
+def after_reading(ear, nis, dof, ticks, learning):
     """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error seems
     to have changed, or enough ticks have been noted.
     """
@@ -81,7 +81,7 @@ def _turned(one, other, cosine, sine):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def told_since(x, P, at, estimate, covariance, least, now, lost):
+def information_since(x, P, at, estimate, covariance, least, now, lost):
     """What constants have been told since their estimate (k,) and covariance (k, k) were such: the squares of their
     changes over the variance that each should have, and how many there are. That is along the eigenvectors of what the
     covariance has lost, in units of the sd before; one that has lost less than `least` does not count.
@@ -127,7 +127,7 @@ def told_since(x, P, at, estimate, covariance, least, now, lost):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def carry(undone, Phi):
+def carry_feedback(undone, Phi):
     """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn
     the heading.
     """
@@ -163,7 +163,7 @@ def _in_body(mem, nav, K, res, a, used, axis):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
+def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     """After a reading: carry `undone` to it, note its open-loop residual in `ring` (kind != 0), then add what it fed
     back.
 
@@ -180,7 +180,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     """
     a, m, start, errors, par = dims[0], dims[2], dims[4], dims[5], dims[6]
     K, res, verdict = places[1], places[3], places[8]
-    carry(undone, shaped(mem[: m * m], m, m))
+    carry_feedback(undone, shaped(mem[: m * m], m, m))
     used = mem[verdict + 2] != 0.0
     if mount[ASKED] != 0.0:
         for i in range(a):

@@ -74,7 +74,7 @@ CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 OF_READING, BY_AXIS = np.arange(18) // 3, np.arange(18) // 9 * 3 + np.arange(18) % 3
 # Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
 CURRENT = 125
-# 1: accelerations carry the velocity, see `kalman.discount_heading`.
+# 1: accelerations carry the velocity, see `consistency.discount_heading`.
 INERTIAL = 126
 # Dead reckoning: the way made by its own readings, north and east [m], whatever has been corrected since; for how long
 # there has been no attitude, and no velocity [s]; for how long the three angles have been the same to the last bit, and
@@ -84,7 +84,7 @@ WAY, BLIND_S, LOST_S, SAME_ATTITUDE_S, SAME_VELOCITY_S, PREVIOUS_VELOCITY_B = 12
 # that was taken, for how long it is the last [s], negative before the first.
 ODD_HEADING, ODD_VELOCITY, GOOD_VELOCITY, GOOD_S = 136, 137, 138, 141
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
-# 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`; 2: and there is a current.
+# 1: a velocity in the vehicle's axes has been used, see `consistency.turns_with_heading`; 2: and there is a current.
 OWN = 142
 # Dead reckoning: how the vehicle goes on beyond the last sample, turning (3) [rad/s], and gaining velocity (3) [m/s^2],
 # in b, each followed by what it did between the last two readings (3); and by how much that was another before.
@@ -962,7 +962,7 @@ def _deviated(reading, sin1, cos1, sin2, cos2):
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _steady(drv, samples, n, blind, missing):
-    """Have the readings by which slopes are made follow those of a sample, see `measurement.hold_slopes`.
+    """Have the readings by which slopes are made follow those of a sample, see `consistency.limit_velocity_slopes`.
 
     What a reading errs by is in the state, too: in velocity and heading, and by these in the position. Were it in the
     slope by a constant as well, each fix that shows it would tell the constant, always to the same side: errors in

@@ -84,7 +84,7 @@ def stretched(filter: FilterState, before: ConsistencyRecord, time_s: float) -> 
     if before.time_s >= time_s or not at.size:
         return before
     now, lost = np.empty((2, at.size + 1, at.size))
-    told = open_loop_residual.told_since(
+    told = open_loop_residual.information_since(
         filter.x, filter.P, at, before.estimate, before.covariance, HARDLY_TOLD, now, lost
     )
     return ConsistencyRecord(time_s, now[0], now[1:], before.length + told[0], before.freedom + told[1])

@@ -182,7 +182,7 @@ class LearningSchedule:
         if isinstance(event, Correction):
             return () if event.channel is None else self._corrected(event, event.channel)
         if isinstance(event, Propagated):
-            open_loop_residual.carry(self._fed_back, event.transition)
+            open_loop_residual.carry_feedback(self._fed_back, event.transition)
         elif isinstance(event, SamplesReplaced):
             for listener in self.listeners.values():
                 listener.begin_anew(event.seconds)
@@ -202,7 +202,7 @@ class LearningSchedule:
         )
         if listener is not None:
             kind, ring, cursor, mount = listener.kind, listener.memory.ring, listener.memory.cursor, listener.mount
-        open_loop_residual.listen(
+        open_loop_residual.record_residual(
             *(self._fed_back, channel.mem, channel.dims, channel.places, memory.nav, channel.C, memory.x),
             *(kind, mount, ring, cursor, channel.count, self.filter.drive_output, self._gravity),
         )

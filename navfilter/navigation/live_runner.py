@@ -39,7 +39,7 @@ class PointerTable:
     Attributes
     ----------
     table : ndarray of int, shape (count, 3)
-        See `navfilter.kernels.batch.prompt`.
+        See `navfilter.kernels.batch.correct_reading`.
     """
 
     def __init__(self, count: int) -> None:
@@ -98,7 +98,7 @@ class ImuFastPath:
             at = -1 if kept is None else kept.samples.count % PIECE
             if not at and kept is not None:
                 self._hand.take(kept.samples.room()[:1], batch.PIECE)
-            why = batch.sample(self._hand.table, samples, intake.before_s, shift, at)
+            why = batch.propagate_sample(self._hand.table, samples, intake.before_s, shift, at)
         if why == batch.REFUSED:
             self._as_of = -1  # what is done then, `changes` does not tell of
             return False
@@ -206,7 +206,9 @@ class MeasurementFastPath:
             place = kept.samples.count, kept.readings.count, kept.values.count
         if size == self._plain_size:
             read = self._plain
-            why, nis, dof, mean_nis = batch.prompt(hand, memory.recent, z, read, True, time_s, memory.time_s, *place)
+            why, nis, dof, mean_nis = batch.correct_reading(
+                hand, memory.recent, z, read, True, time_s, memory.time_s, *place
+            )
         if why == batch.REFUSED:
             asked = self._read(z)
             if asked is None:
@@ -214,7 +216,9 @@ class MeasurementFastPath:
             read = asked
             if kept is not None and not kept.has_room(size):
                 place, full = _NOT_KEPT, True
-            why, nis, dof, mean_nis = batch.prompt(hand, memory.recent, z, read, False, time_s, memory.time_s, *place)
+            why, nis, dof, mean_nis = batch.correct_reading(
+                hand, memory.recent, z, read, False, time_s, memory.time_s, *place
+            )
             if why == batch.REFUSED:
                 return None
         # ---- from here on it is taken

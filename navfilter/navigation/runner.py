@@ -290,7 +290,7 @@ class BatchRunner:
         cursor[kernels.NEWEST] = kernels.MORE_RECENT if len(recent) else 0
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]
         why = int(
-            kernels.stretch(
+            kernels.run_batch(
                 now,
                 cursor,
                 self._settings(),

@@ -179,7 +179,7 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
         constants |= {f"{name}.{parameter.name}" for parameter in held}
     for i, name in enumerate(rows.names):
         if ".lever_arm_" in name or name in constants:
-            # what has not told of it makes it walk there, see `past.consider`: of a constant the end says all
+            # what has not told of it makes it walk there, see `consistency.consider`: of a constant the end says all
             rows.x[:, i], rows.variance[:, i] = rows.x[-1, i], rows.variance[-1, i]
     return assembled("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
 

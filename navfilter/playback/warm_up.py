@@ -141,7 +141,7 @@ def _compile_stretch() -> None:
 
     settings: Any = config
     if not settings.DISABLE_JIT:
-        batch.stretch.compile(addresses.STRETCH)
+        batch.run_batch.compile(addresses.STRETCH)
 
 
 def _compile_prompt() -> None:
@@ -153,11 +153,11 @@ def _compile_prompt() -> None:
 
     settings: Any = config
     if not settings.DISABLE_JIT:
-        batch.prompt.compile(addresses.PROMPT)
-        batch.sample.compile(addresses.SAMPLE)
-        noise_scale.heard.compile(addresses.SCATTERED)
+        batch.correct_reading.compile(addresses.PROMPT)
+        batch.propagate_sample.compile(addresses.SAMPLE)
+        noise_scale.update_scale.compile(addresses.SCATTERED)
         open_loop_residual.is_within.compile(addresses.WITHIN)
-        open_loop_residual.told_since.compile(addresses.TOLD_SINCE)
+        open_loop_residual.information_since.compile(addresses.TOLD_SINCE)
         batch.readmission.compile(addresses.READMISSION)
 
 

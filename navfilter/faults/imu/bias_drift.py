@@ -45,7 +45,7 @@ from navfilter.kernels.bias_drift import (
     NIS,
     TIME_S,
     VARIANCE,
-    farthest,
+    largest_change,
 )
 
 __all__ = ["due_s", "fresh", "gyros", "look", "looking", "shifted"]
@@ -107,7 +107,7 @@ def look(filter: FilterState) -> Iterator[Action]:
         return
     looks, gyros, now = looking(filter)
     state = memory.nav, memory.x, memory.P
-    if not batch.look_at_biases(
+    if not batch.check_gyro_biases(
         filter.bench, filter.plan, *state, memory.monitor.imu, memory.time_s, looks, gyros, now
     ):
         return
@@ -198,7 +198,7 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
         Their variances at the start.
     """
     least = FLOOR**2 * begin
-    if farthest(looks, now, walk, least) <= LIMIT:
+    if largest_change(looks, now, walk, least) <= LIMIT:
         return []
     moved, added = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE], walk * (now[TIME_S] - looks[:, [TIME_S]])
     lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)

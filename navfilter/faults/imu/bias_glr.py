@@ -2,8 +2,8 @@
 
 What no sample shows by itself (an accelerometer that is off by 50 mg, a gyro with another sign) contradicts compass and
 DVL. `BiasJumpGlr` holds one hypothesis for each axis of the drive and of each sensor, that its error has jumped, and
-forms their likelihood ratios by the kernel `navfilter.kernels.bias_glr.hear_jumps`. Where one of the drive explains the
-innovations, and no sensor's does as well, the inertial unit is left out for a while, and then used again with its
+forms their likelihood ratios by the kernel `navfilter.kernels.bias_glr.update_jumps`. Where one of the drive explains
+the innovations, and no sensor's does as well, the inertial unit is left out for a while, and then used again with its
 biases open: a new bias is learnt within seconds. If it is no bias, it is left out again, for longer.
 """
 
@@ -22,7 +22,7 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
-from navfilter.kernels.bias_glr import AXES, carry_jumps, hear_jumps
+from navfilter.kernels.bias_glr import AXES, propagate_jumps, update_jumps
 from navfilter.models.mechanisation import Mechanisation
 
 __all__ = ["BiasJumpGlr"]
@@ -112,14 +112,14 @@ class BiasJumpGlr:
                 says = float(value.sum()) != banks[0, -1, offset]
                 banks[0, -1, offset] = value.sum()
             for bank in banks:
-                largest = max(largest, hear_jumps(bank, channel.mem, channel.dims, channel.places, offset, says))
+                largest = max(largest, update_jumps(bank, channel.mem, channel.dims, channel.places, offset, says))
             if largest > LIMIT:
                 yield from self._judge(filter)
             if self.fails_again(channel, memory):
                 yield from self._leave_out(filter, np.zeros(AXES))
         elif isinstance(event, Propagated):
             for bank in memory.monitor.bias_glr:
-                carry_jumps(bank, event.transition)
+                propagate_jumps(bank, event.transition)
         elif isinstance(event, StateTransformed):
             memory.monitor.bias_glr = self.fresh(filter.layout, filter.channels, memory.time_s)
 

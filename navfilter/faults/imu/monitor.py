@@ -1,10 +1,10 @@
 """A watch over the samples of an inertial unit, axis by axis, and what follows for the filter.
 
-The kernel `navfilter.kernels.imu_checks.look` finds what the samples say of themselves. An axis that is worth nothing
-is left out: what is known without it takes its place, with the noise that the vehicle's description gives to what is
-unknown (``gap_rate_sd``, ``gap_force_sd``), and the covariance takes what the wrong samples may have done since they
-began. Attitude then comes from the compass, and from gravity where the accelerometers still work; velocity from the
-DVL. That is dead reckoning, by the same filter.
+The kernel `navfilter.kernels.imu_checks.check_samples` finds what the samples say of themselves. An axis that is worth
+nothing is left out: what is known without it takes its place, with the noise that the vehicle's description gives to
+what is unknown (``gap_rate_sd``, ``gap_force_sd``), and the covariance takes what the wrong samples may have done since
+they began. Attitude then comes from the compass, and from gravity where the accelerometers still work; velocity from
+the DVL. That is dead reckoning, by the same filter.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class ImuMonitor:
         sd : ndarray, shape (6,)
             White standard deviations of one sample by the description.
         """
-        return kernel.look(samples, w, sd, self.limits, self._period_s, self._increments)
+        return kernel.check_samples(samples, w, sd, self.limits, self._period_s, self._increments)
 
     def replace_missing(self, samples: Array, memory: FilterMemory, said_s: float) -> Iterator[Action]:
         """Values for samples that are missing: no rate, and the force at rest. No axis is good until it has been heard

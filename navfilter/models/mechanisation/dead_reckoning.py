@@ -84,7 +84,7 @@ class DeadReckoning(Mechanisation):
     units: ClassVar[tuple[str, ...]] = ("rad",) * 3 + ("m_s",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_hold)
-    moved: ClassVar[Callable[..., None]] = staticmethod(delayed_state.reckoned_motion)
+    moved: ClassVar[Callable[..., None]] = staticmethod(delayed_state.dead_reckoning_motion)
 
     def __post_init__(self) -> None:
         FrozenDescription.__post_init__(self)  # what follows asks for its parts, before their models are asked for

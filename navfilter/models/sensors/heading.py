@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.kernels import measurement, open_loop_residual
+from navfilter.kernels import consistency, measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
@@ -145,8 +145,12 @@ class Heading(Sensor):
     def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
         """What its equation leaves out: of iron, which is a tenth of the field and more, and of deviation."""
         if self.magnetometer:
-            return measurement.iron_bend if self.hard_iron_sd or self.soft_iron_sd else measurement.tilt_bend
-        return measurement.deviation_bend if any(self.deviation_sd_rad) else None
+            return (
+                consistency.iron_second_order
+                if self.hard_iron_sd or self.soft_iron_sd
+                else consistency.tilt_second_order
+            )
+        return consistency.deviation_second_order if any(self.deviation_sd_rad) else None
 
     @property
     def deviation(self) -> int | None:  # type: ignore[override]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.kernels import measurement, strapdown
+from navfilter.kernels import consistency, measurement, strapdown
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
@@ -93,7 +93,7 @@ class Range(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.slant_range)
     observes: ClassVar[Observable] = Observable.RANGE
-    bend: ClassVar[Callable[..., None] | None] = staticmethod(measurement.range_bend)
+    bend: ClassVar[Callable[..., None] | None] = staticmethod(consistency.range_second_order)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((RANGE,),)
     beside: ClassVar[tuple[Columns, ...]] = (BEACON,)
     plausible: ClassVar[Plausible | None] = Plausible(1e-3, 200.0, "cm", most_rate_hz=100.0)

@@ -80,16 +80,16 @@ class Sensor(FrozenDescription):
         A component that contradicts the others is left out alone, as long as more than half of them remain.
     deviation : int or None
         Which of its parameters begin a deviation with the heading, that no reading tells from it: see
-        `kalman.turn_deviation`.
+        `consistency.turn_deviation`.
     hidden : bool
-        Parameters whose slopes are held may be hidden by the state's error, see `past.withhold_hidden`.
+        Parameters whose slopes are held may be hidden by the state's error, see `delayed_state.withhold_hidden`.
     single_s : float
         For so long on end [s]: where the others do not tell what it does, the reading is refused whole after that.
     tracks : int
         The axes are so many equal sets: a reading's own sd may be given for one of them.
     bend : callable, optional
         What its linear equation leaves out where it stands near what it measures, with the arguments of
-        ``measurement.range_bend``.
+        ``consistency.range_second_order``.
     late_s : float
         Its readings may come so late [s]: a navigator keeps as much of the past.
     confirms_state : bool
@@ -239,7 +239,7 @@ class Sensor(FrozenDescription):
         return 0.0
 
     def held(self) -> tuple[int, int]:
-        """From which of its parameters to which the slopes are velocities, see `measurement.hold_slopes`."""
+        """From which of its parameters to which the slopes are velocities, see `consistency.limit_velocity_slopes`."""
         return 0, 0
 
     def wandering(self) -> dict[str, ErrorModel]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.kernels import measurement
+from navfilter.kernels import consistency, measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
@@ -109,7 +109,7 @@ class Usbl(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("range", "across", "elevation")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.usbl)
     observes: ClassVar[Observable] = Observable.RANGE
-    bend: ClassVar[Callable[..., None] | None] = staticmethod(measurement.usbl_bend)
+    bend: ClassVar[Callable[..., None] | None] = staticmethod(consistency.usbl_second_order)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POLAR, SHIP), (RELATIVE, SHIP))
     beside: ClassVar[tuple[Columns, ...]] = (SHIP_ATTITUDE,)
     template: ClassVar[Example | None] = Example(
