@@ -14,10 +14,9 @@ from scipy.linalg import block_diag
 
 import navfilter as nf
 from navfilter.filter import filter as engine
-from navfilter.filter import python_update
 from navfilter.filter.records import triangle
 from navfilter.filter.rts_smoother import smooth_rows
-from navfilter.kernels import batch, consistency, kalman
+from navfilter.kernels import batch, kalman
 
 DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
@@ -43,31 +42,43 @@ class Step:
 
 
 class Capture:
-    """Stands in for the kernels in the navigator, and notes the chain: folds, corrections, single samples."""
+    """Runs a navigator by the readable twin of the kernel that corrects, and notes the chain: folds, corrections,
+    single samples.
+    """
+
+    #: Parts of the twin that are noted.
+    PARTS = ("discount_heading", "predict", "update", "turn_velocity", "turn_tilts", "turn_current")
 
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
-        self.places = kalman.memory_offsets
-        for module in (engine, python_update):
-            monkeypatch.setattr(module, "kalman", self)
+        monkeypatch.setattr(engine, "kalman", self)
+        monkeypatch.setattr(engine, "consistency", self)
+        self.twins = {name: getattr(naive, name) for name in self.PARTS}
+        for name in self.PARTS:
+            monkeypatch.setattr(naive, name, getattr(self, name))
+        for name in ("consider_lever_arm", "consider_hidden"):
+            monkeypatch.setattr(naive, name, self._considering(getattr(naive, name)))
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)
+        monkeypatch.setattr(batch, "correction", naive.correction)
         self.P0, self.n = self.nav.filter.P.copy(), len(self.nav.filter.P)
         run = self.nav.filter
         run.steps, run.hold = self._each(run.steps, True), self._each(run.hold, False)
-        for channel in run.channels.values():  # the same arithmetic, but by kernels that can be listened to
-            channel.known = False
-            channel.spot[batch.EQUATION] = 0
         self._single = []
-        withhold = python_update.withhold
 
-        def withheld(memory, channel, drive_output, kept):
-            before = memory.P.copy()
-            withhold(memory, channel, drive_output, kept)
-            if np.any(before != memory.P):
-                self.steps[-1].U = self.samples[-1].U = memory.P - before
+    def __getattr__(self, name):
+        return getattr(kalman, name)
 
-        monkeypatch.setattr(python_update, "withhold", withheld)
+    def _considering(self, twin):
+        """What a constant is told too much of is given back: it walks."""
+
+        def consider(P, *args):
+            before = P.copy()
+            twin(P, *args)
+            for chain in (self.steps, self.samples):
+                chain[-1].U = P - before + (0.0 if chain[-1].U is None else chain[-1].U)
+
+        return consider
 
     def _each(self, kernel, block):
         """Run the drive's kernel sample by sample on a fresh compound, note each transition, and compound them here."""
@@ -97,11 +108,11 @@ class Capture:
         self.samples += [self._full(F, Q) for F, Q in self._single]
         self._single = []
 
-    def discount_heading(self, P, acc, nav, own, work):
+    def discount_heading(self, P, acc, nav, own, work=None):
         """Of the single samples the first takes it: the heading's error is one from the fold before on."""
         m = acc.shape[1]
         before = acc[:m].copy()
-        consistency.discount_heading(P, acc, nav, own, work)
+        self.twins["discount_heading"](P, acc, nav, own)
         if self._single:
             X, (F, Q) = np.eye(m), self._single[0]
             X[:9, 8] += np.linalg.solve(before[:9, :9], acc[:9, 8] - before[:9, 8])
@@ -117,27 +128,26 @@ class Capture:
         """The noise of a transition, with what the second order of the heading adds; the last sample has it, too."""
         m = acc.shape[1]
         Q, after = acc[m : 2 * m].copy(), acc[:m] @ P[:m, :m] @ acc[:m].T
-        added = naive.bend(P[:2, 8], after[:2, 8])
+        bent = after.copy()
+        naive.arc_term(P, bent)
+        added = (bent - after)[:2, :2]
         Q[:2, :2] += added
         if self.samples and added.any():
             self.samples[-1].Q[:2, :2] += added
         return Q
 
-    def turns_along(self, P, north, east):
-        return consistency.turns_with_heading(P, north, east)
-
     def turn_velocity(self, P, nav, before, change):
-        consistency.turn_velocity(P, nav, before, change)
+        self.twins["turn_velocity"](P, nav, before, change)
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.velocity_turn(change[:3], self.n) @ chain[-1].G
 
     def turn_tilts(self, P, K, res, change):
-        consistency.turn_tilts(P, K, res, change)
+        self.twins["turn_tilts"](P, K, res, change)
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.tilts_turn(change, self.n) @ chain[-1].G
 
     def turn_current(self, P, K, res, first):
-        consistency.turn_current(P, K, res, first)
+        self.twins["turn_current"](P, K, res, first)
         for chain in (self.steps, self.samples):
             chain[-1].G = naive.current_turn(K, res, first) @ chain[-1].G
 
@@ -150,12 +160,12 @@ class Capture:
         A[here, here], B[here, here] = W
         for chain, link in ((self.steps, step), (self.samples, self._full(np.eye(m), np.zeros((m, m))))):
             chain.append(Step(A @ link.Phi, A @ link.Q @ A.T + B))
-        kalman.predict(P, nav, x, acc, model, mem, dims, count)
+        self.twins["predict"](P, nav, x, acc, model, mem, dims, count)
 
     def update(self, P, nav, x, C, R, mem, dims, limits):
         at, a, n = kalman.memory_offsets(dims), dims[0], dims[1]
         before = P.copy()
-        kalman.update(P, nav, x, C, R, mem, dims, limits)
+        self.twins["update"](P, nav, x, C, R, mem, dims, limits)
         if not mem[at[8] + 2]:
             return
         H = mem[at[0] : at[1]].reshape(a, n).copy()
