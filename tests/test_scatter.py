@@ -73,7 +73,7 @@ def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
     """A snapshot may have been changed outside."""
     vehicle, mission = dive()
     nav, _ = fly(vehicle, altered(mission, "dvl", noise(0.1), NOISE_S), until_s=NOISE_S + 10.0)
-    memory = nav.filter.memory
+    memory = nav.memory
     for change in (
         (noise_scale.COUNT, 1e9),
         (noise_scale.COUNT, math.nan),
@@ -81,15 +81,15 @@ def test_what_is_kept_of_noise_is_refused_where_a_kernel_could_not_go_by_it():
         (noise_scale.NEXT, 48.0),
     ):
         other = copied(memory)
-        noted = other.monitor.channels["dvl"].scatter.noted.copy()
+        noted = other.filter.monitor.channels["dvl"].scatter.noted.copy()
         noted[change[0]] = change[1]
-        other.monitor.channels["dvl"].scatter = NoiseScale(noted)
+        other.filter.monitor.channels["dvl"].scatter = NoiseScale(noted)
         with pytest.raises(ValueError, match="the noise of dvl"):
-            nav.filter.restore(other)
+            nav.resume(other)
     other = copied(memory)
-    other.monitor.channels["dvl"].scatter = NoiseScale(memory.monitor.channels["dvl"].scatter.noted[:-1])
+    other.filter.monitor.channels["dvl"].scatter = NoiseScale(memory.filter.monitor.channels["dvl"].scatter.noted[:-1])
     with pytest.raises(ValueError, match="the noise of dvl"):
-        nav.filter.restore(other)
+        nav.resume(other)
 
 
 def test_a_velocity_in_another_unit_for_a_minute_is_as_good_as_none():
