@@ -22,7 +22,8 @@ import navfilter as nf
 from navfilter.identification.identify import Identification, identify
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.series import Series, read_series
-from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.table import TableOptions
+from navfilter.io.tables import read_table
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from inertial_noise import noise
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.identification.noise_sheet import AxisSheet, noise_sheet
 from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
-from navfilter.io.tables import TableOptions
+from navfilter.io.table import TableOptions
 
 DEG, MICRO_G = math.pi / 180.0, 1e-6 * STANDARD_GRAVITY
 RATE_HZ = 50.0

@@ -254,7 +254,7 @@ def refusals_of(residual, jumped=False):
     for k, row in enumerate(residual):
         channel.res[:] = row
         arguments = channel, P, 1.5, 100.0 + k, filter.drive_output, 0.01
-        channel.faults.refused = sensor_bias.heard(*arguments)
+        channel.faults.refused = sensor_bias.add_rejection(*arguments)
     return channel
 
 

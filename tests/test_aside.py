@@ -78,7 +78,7 @@ def test_what_reads_the_same_is_the_same_and_worth_the_less_the_more_it_differs(
     assert not velocity_fault.unchanged(SIGN, np.array([-1.4, 0.0, 0.0]))  # it sails faster or slower: nobody knows
     assert not velocity_fault.unchanged(SIGN, np.full(3, np.nan))
     assert not velocity_fault.unchanged(VelocityFault(1.5, (math.nan,) * 3, (-1.5, 0.0, 0.0)), np.zeros(3))
-    found = velocity_fault.variances(SIGN, np.array([-1.45, 0.0, np.nan]), np.full(3, 1e-4))
+    found = velocity_fault.widened_variances(SIGN, np.array([-1.45, 0.0, np.nan]), np.full(3, 1e-4))
     np.testing.assert_allclose(found, [1e-4 + 0.1**2, 1e-4, 1e-4])  # of another sign: twice the change
 
 

@@ -53,7 +53,7 @@ def test_residuals_of_beams_are_a_velocity(dive):
     np.testing.assert_allclose(ground_velocity.residual(channel, state, beams), off_b, atol=1e-3)
     # of four beams at 30 degrees: sd / sqrt(2) each of a level axis, sd / sqrt(3) of the vertical one
     np.testing.assert_allclose(
-        ground_velocity.variances(channel, state), 0.02**2 / np.array([0.5, 0.5, 3.0]), rtol=0.01
+        ground_velocity.residual_variances(channel, state), 0.02**2 / np.array([0.5, 0.5, 3.0]), rtol=0.01
     )
     beams[0] = np.nan
     np.testing.assert_allclose(ground_velocity.residual(channel, state, beams), off_b, atol=1e-3)
@@ -71,5 +71,5 @@ def test_a_water_track_that_is_refused_says_nothing_of_the_velocity_over_ground(
     channel.faults.rejected_since_s = channel.memory.last_s = nav.time_s
     channel.note[3 : 3 + channel.axes] = [np.nan] * 4 + [0.5] * 4
     assert realignment._refused_velocity(nav.filter) is None
-    way = alternative_path.with_refused(nav.filter, channel, nav.time_s + 0.5)
+    way = alternative_path.with_rejected(nav.filter, channel, nav.time_s + 0.5)
     assert (way.north, way.east, way.length) == (0.0, 0.0, 0.0)

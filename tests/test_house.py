@@ -34,7 +34,17 @@ MOST_ROOMS, MOST_FLOORS, MOST_LINES, MOST_OF_OWN_FOLDER = 25, 12, 600, 12
 #: Below so many lines a module is a part of its only importer, unless it is a format, a kind, a part of the compiler or
 #: a page of its own.
 SHORT = 80
-OF_THEIR_OWN = ("io", "models.sensors", "models.mechanisation", "kernels", "commands", "check", "report", "simulation")
+OF_THEIR_OWN = (
+    "io",
+    "filter.rts_smoother",
+    "models.sensors",
+    "models.mechanisation",
+    "kernels",
+    "commands",
+    "check",
+    "report",
+    "simulation",
+)
 
 
 def modules():
@@ -413,6 +423,7 @@ def test_nothing_inherits_from_the_filter():
 OPEN = {
     *("context.active_code_library._reload_init", "state.library._reload_init", "state.library._final_module"),
     *("view._getvalue", "colours._markup"),
+    "kept._source_stamp",  # numba's: which files a kept kernel depends on
     *("_replace", "_fields", "_asdict", "os._exit", "message._timestamp"),
 }
 

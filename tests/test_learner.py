@@ -10,9 +10,9 @@ from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.open_loop_series import without_spikes
 from navfilter.learning.slow_posterior import Line
 from navfilter.learning.slow_prior import SlowPrior
-from navfilter.learning.spikes import without_spikes
 from navfilter.models.error_models import CORRELATION_CONSTANTS
 from navfilter.models.navigation_drift import Drift
 from navfilter.timeseries.model import ArmaModel, simulate_arma

@@ -21,8 +21,8 @@ from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
 from navfilter.learning.axis_learner import AxisFit, Learner
 from navfilter.learning.learned_model import LearnedModel
+from navfilter.learning.open_loop_series import without_spikes
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.learning.spikes import without_spikes
 from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
 from navfilter.models.spectrum import Spectrum
 from navfilter.playback.replay import residual_series

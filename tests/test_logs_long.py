@@ -5,8 +5,8 @@ import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf
-from navfilter.io.row_conditions import Where
-from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.table import TableOptions, Where
+from navfilter.io.tables import read_table
 from navfilter.models.mission import MissionError
 
 ALOG = """\

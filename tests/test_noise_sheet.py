@@ -20,7 +20,7 @@ from navfilter.identification.spectral_lines import spectral_lines
 from navfilter.identification.static_detection import moving_together, stillness
 from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
 from navfilter.io.series import on_a_grid
-from navfilter.io.tables import TableOptions
+from navfilter.io.table import TableOptions
 from navfilter.models.mission import Mission, MissionError, Stream
 from navfilter.timeseries.diagnostics import allan_edf
 

@@ -8,8 +8,8 @@ import same_runs
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.faults.imu.acceleration import ramp_of, with_refused
-from navfilter.faults.sensor_bias import heard
+from navfilter.faults.imu.acceleration import add_to_line, ramp_of
+from navfilter.faults.sensor_bias import add_rejection
 from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
@@ -38,7 +38,7 @@ def residuals(shape, seed, count=12, sd=0.01, first_s=0.0):
     """The sums of a line through residuals of a shape, and the variance of their noise."""
     rng, ramp = np.random.default_rng(seed), ()
     for age_s in first_s + 0.25 * np.arange(count):
-        ramp = with_refused(ramp, age_s, np.array(shape(age_s)) + sd * rng.normal(size=3), np.zeros(3))
+        ramp = add_to_line(ramp, age_s, np.array(shape(age_s)) + sd * rng.normal(size=3), np.zeros(3))
     return ramp, np.full(3, 1e-4)
 
 
@@ -109,9 +109,9 @@ def test_only_one_that_was_right_for_long_is_refused_now_and_then_without_a_jump
     kept, channel.verdict[:2], channel.res[:] = channel.faults, (1e4, 3.0), (0.5, 0.0, 0.0)
     kept.agreed_s, channel.memory.used_s, kept.disputed_s = 0.0, 99.75, disputed_s
     kept.refused_s, kept.rejected_since_s = 99.5, 100.0
-    assert heard(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped is jumped
+    assert add_rejection(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped is jumped
     kept.refused_s = 90.0
-    assert heard(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped
+    assert add_rejection(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ from hypothesis.extra import numpy as hnp
 from navfilter.io import VehicleError, read_mission, read_vehicle
 from navfilter.io.columns import LATEST_S
 from navfilter.io.mat5 import check_mat5
-from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.table import TableOptions
+from navfilter.io.tables import read_table
 from navfilter.models.mission import Mission, MissionError, Stream
 
 # One folder serves all examples of a test: each example overwrites its files.

@@ -13,7 +13,7 @@ from feeding import DRIVE, events_of, once_a_second
 
 import navfilter as nf
 from navfilter.faults import alternative_path, innovation_gate
-from navfilter.faults.alternative_path import AlternativePath, believable, followed, since_fix, with_refused
+from navfilter.faults.alternative_path import AlternativePath, believable, followed, since_fix, with_rejected
 from navfilter.faults.imu import acceleration
 from navfilter.faults.refusals import RejectionRun
 from navfilter.simulation.faults import Faults
@@ -46,7 +46,7 @@ def refusing():
 def test_the_residuals_are_integrated_from_the_second_refused_reading_on(refusing):
     filter, channel = refusing
     for time_s in (10.0, 10.5, 11.0, 30.0):
-        channel.faults.way = with_refused(filter, channel, time_s)
+        channel.faults.way = with_rejected(filter, channel, time_s)
     # half a second twice, and one that speaks for a second after a long silence
     way = channel.faults.way
     assert (way.time_s, way.north, way.east) == pytest.approx((30.0, 0.8, 0.6))
@@ -61,10 +61,10 @@ def test_one_that_has_jumped_counts_as_far_as_its_constants_do_not_explain_it(re
     channel.offset = True
     monkeypatch.setattr(channel, "jumped_by", lambda x: np.array([2.0, 0.0, 0.0]))
     for time_s in (10.0, 10.5, 11.0):
-        channel.faults.way = with_refused(filter, channel, time_s)
+        channel.faults.way = with_rejected(filter, channel, time_s)
     assert channel.faults.way.north == pytest.approx(2.4) and channel.faults.way.length == pytest.approx(0.5)
     channel.faults.aside = True
-    assert with_refused(filter, channel, 11.5).length == pytest.approx(0.5)
+    assert with_rejected(filter, channel, 11.5).length == pytest.approx(0.5)
 
 
 def test_wheels_that_are_refused_beside_their_constants_hold_the_position():
@@ -92,7 +92,7 @@ def test_what_no_vehicle_can_do_does_not_count(refusing):
     filter, channel = refusing
     channel.note[3:6] = 1500.0, 0.0, 0.0
     channel.faults.way = AlternativePath(10.0, 0.8, 0.6, 1.0)
-    assert with_refused(filter, channel, 10.25) == AlternativePath(10.25, 0.8, 0.6, 1.0)
+    assert with_rejected(filter, channel, 10.25) == AlternativePath(10.25, 0.8, 0.6, 1.0)
     # a vehicle of 4 m/s that is stated to make 5 may have turned back; one that says nothing may make twice as much
     assert believable(np.array([8.9, np.nan, 0.0]), 4.0, 5.0) and not believable(np.array([9.1, 0.0, 0.0]), 4.0, 5.0)
     assert believable(np.array([11.9, 0.0, 0.0]), 4.0, None) and not believable(np.array([12.1, 0.0, 0.0]), 4.0, None)
@@ -195,7 +195,7 @@ def test_one_that_has_been_disputed_accuses_by_a_long_ramp_on_which_it_reads_the
     for age_s in 0.25 * np.arange(44):
         seen = np.array([residual(age_s), 0.0, 0.0]) + 0.01 * rng.normal(size=3)
         now = np.array([reading(age_s), 0.0, 0.0])
-        sums = acceleration.with_refused(sums, age_s, seen, now)
+        sums = acceleration.add_to_line(sums, age_s, seen, now)
     slope = acceleration.ramp_of(sums, np.full(3, 1e-4))
     assert slope is not None and acceleration.reads_the_same(sums, now, slope) is accused
 

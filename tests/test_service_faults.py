@@ -30,9 +30,9 @@ from navfilter.io.json_lines import BadLine, LineParser, Reading
 from navfilter.kernels import measurement
 from navfilter.models.magnetic import believable, declination
 from navfilter.service import kernel_cache
-from navfilter.service.counters import Tally
 from navfilter.service.disk import Disk, StateFile
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
+from navfilter.service.loop import Tally
 from navfilter.service.output import Outlet
 from navfilter.service.session import Options
 from navfilter.service.supervision import HealthFile, Notifier

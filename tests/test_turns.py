@@ -11,7 +11,7 @@ from test_ramp import spoiled
 import navfilter as nf
 from navfilter.evaluation.baselines import rivals
 from navfilter.evaluation.montecarlo.campaign import Campaign
-from navfilter.faults.imu.gyro_scale import agrees, contradicted
+from navfilter.faults.imu.gyro_scale import agrees, wrong_since
 from navfilter.navigation import runner
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -79,13 +79,13 @@ def steps(factor, turn=0.1, sd=0.01, count=12, seed=1):
 @pytest.mark.parametrize("seed", range(5))
 def test_what_steps_say(seed):
     for factor in (-1.0, -0.5, 0.4, 2.0, 3.0):
-        assert contradicted(steps(factor, seed=seed)) is not None
+        assert wrong_since(steps(factor, seed=seed)) is not None
         assert not agrees(steps(factor, seed=seed))
     for factor in (0.85, 1.0, 1.2):  # of a deviation
-        assert contradicted(steps(factor, seed=seed)) is None
+        assert wrong_since(steps(factor, seed=seed)) is None
     assert agrees(steps(1.0, seed=seed)) and not agrees(steps(1.0, turn=0.005, seed=seed)) and not agrees(())
-    assert contradicted(steps(-1.0, count=3, seed=seed)) is None
-    assert contradicted(steps(0.0, seed=seed)) is None  # the compass alone
+    assert wrong_since(steps(-1.0, count=3, seed=seed)) is None
+    assert wrong_since(steps(0.0, seed=seed)) is None  # the compass alone
 
 
 def test_in_stretches_as_one_by_one_and_restored(dive, monkeypatch):

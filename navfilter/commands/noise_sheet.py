@@ -67,7 +67,7 @@ def _quantity(text: str) -> str:
 def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], Any]) -> int:
     """Read, find the noise, write, print."""
     from navfilter.identification.noise_sheet import NotAtRest, noise_sheet
-    from navfilter.identification.noise_sheet_text import as_dict, sheet_text
+    from navfilter.identification.noise_sheet_text import sheet_dict, sheet_text
 
     say("reading")
     record = _record(options)
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
         write_sheet(sheet, record, folder)
     say("")
     if options.json:
-        show(json.dumps(as_dict(sheet), indent=1))
+        show(json.dumps(sheet_dict(sheet), indent=1))
     elif not options.quiet:
         show(sheet_text(sheet))
         if folder is not None:

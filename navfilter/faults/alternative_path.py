@@ -31,7 +31,7 @@ __all__ = [
     "most_speed",
     "out_of_reach",
     "since_fix",
-    "with_refused",
+    "with_rejected",
 ]
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ def full_residual(filter: FilterState, channel: Channel) -> Array:
     return np.asarray(channel.note[3 : 3 + channel.axes] + channel.jumped_by(filter.memory.x))
 
 
-def with_refused(filter: FilterState, channel: Channel, time_s: float) -> AlternativePath:
+def with_rejected(filter: FilterState, channel: Channel, time_s: float) -> AlternativePath:
     """That of a velocity with another refused reading.
 
     Parameters

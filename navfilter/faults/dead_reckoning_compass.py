@@ -26,7 +26,7 @@ from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset, offset_states, with_offsets
 from navfilter.models.sensors.velocity import FLOWS_M_S
 
-__all__ = ["DeadReckoningComparison", "contradicted", "opened_velocity", "take_up"]
+__all__ = ["DeadReckoningComparison", "opened_velocity", "replace_compass", "take_up"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
@@ -62,7 +62,7 @@ class DeadReckoningComparison:
     last_s: float
 
 
-def contradicted(filter: FilterState, fixes: Channel, time_s: float) -> Actions:
+def replace_compass(filter: FilterState, fixes: Channel, time_s: float) -> Actions:
     """What is to be done about the drive's compass when fixes have refused a reading: another error model of it, with
     a turn; None while nothing is to be done.
 
@@ -178,7 +178,7 @@ def take_up(filter: FilterState, change: Change) -> Iterator[Action]:
     filter : FilterState
         Nothing waits to be folded in.
     change : Change
-        By `contradicted` or `opened_velocity`.
+        By `replace_compass` or `opened_velocity`.
     """
     if change.turn is None:
         yield Adopt(change)

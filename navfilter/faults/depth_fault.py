@@ -18,9 +18,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from navfilter.faults import settings
 from navfilter.faults.allowed_change import are_carried
 from navfilter.faults.protection_level import CONFIRMED_S
-from navfilter.faults.sensor_bias import SPAN_S, offset_places
+from navfilter.faults.sensor_bias import offset_places
 from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import FilterState
@@ -54,7 +55,7 @@ def _others(filter: FilterState, gauge: Channel, time_s: float) -> list[Channel]
         if other is not gauge
         and other.sensor.observes in (Observable.FIX, Observable.HEIGHT)
         and np.isfinite(other.note[2 + other.axes])
-        and time_s - other.memory.used_s < SPAN_S
+        and time_s - other.memory.used_s < settings.SPAN_S
     ]
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["AXES", "as_velocity", "components", "residual", "variances"]
+__all__ = ["AXES", "as_velocity", "components", "residual", "residual_variances"]
 
 Array = NDArray[np.float64]
 #: Components of a velocity, and beams that tell it at the least.
@@ -45,7 +45,7 @@ def residual(channel: Channel, nav: Array, values: Array) -> Array:
     return np.asarray(nav[6:15].reshape(3, 3).T @ (as_velocity(channel, seen) @ known[seen]))
 
 
-def variances(channel: Channel, nav: Array) -> Array:
+def residual_variances(channel: Channel, nav: Array) -> Array:
     """White variance of `residual`, shape (3,) [m^2/s^2]."""
     white = components(channel, np.diag(channel.R))
     if channel.sensor.ground == AXES:

@@ -107,7 +107,7 @@ class FaultMonitor:
         own, kept = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes), channel.faults
         if kept.aside is not None or kept.scatter is not None:
             own = own if own.size else channel.group.r
-            own = own if kept.aside is None else velocity_fault.variances(kept.aside, z, own)
+            own = own if kept.aside is None else velocity_fault.widened_variances(kept.aside, z, own)
             own = own if kept.scatter is None else noise_scale.variances(kept.scatter, own)
         return sensor_bias.limits(channel, z, time_s), own
 
@@ -128,7 +128,7 @@ class FaultMonitor:
     def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
         """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
         (nis, dof, used), let_in = channel.verdict.tolist(), False
-        described = noise_scale.heard(filter, channel, time_s, frozen)
+        described = noise_scale.note_reading(filter, channel, time_s, frozen)
         if used:
             policy.used(filter, channel, time_s)
         elif dof and math.isfinite(nis):

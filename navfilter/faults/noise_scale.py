@@ -26,7 +26,7 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import noise_scale as kernels
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["NoiseScale", "facts", "heard", "noted", "variances"]
+__all__ = ["NoiseScale", "facts", "note_reading", "noted", "variances"]
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def variances(kept: NoiseScale, plain: Array) -> Array:
     return plain if kept.worthless else np.asarray(plain + kept.excess)
 
 
-def heard(filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> float:
+def note_reading(filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> float:
     """Take a reading, and return its NIS by the description of its sensor.
 
     Parameters

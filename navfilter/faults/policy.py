@@ -19,8 +19,8 @@ from navfilter.faults import (
     depth_fault,
     heading_fault,
     innovation_gate,
-    iron,
     sensor_bias,
+    settings,
     velocity_fault,
 )
 from navfilter.faults.bias_plausibility import excused, pulled, reckoned_since, reckoned_wrongly
@@ -106,7 +106,7 @@ def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejec
     """A velocity that is refused: the way that it would have made is kept. Decides nothing."""
     yield from ()
     if channel.sensor.ground:
-        channel.faults.way = alternative_path.with_refused(filter, channel, reading.time_s)
+        channel.faults.way = alternative_path.with_rejected(filter, channel, reading.time_s)
 
 
 def _gyro_scale(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
@@ -144,7 +144,7 @@ def _dead_reckoning_compass(filter: FilterState, channel: Channel, reading: Reje
     """Fixes against dead reckoning without a unit: its compass is turned."""
     if channel.sensor.observes is not Observable.FIX:
         return None
-    change = yield from dead_reckoning_compass.contradicted(filter, channel, reading.time_s)
+    change = yield from dead_reckoning_compass.replace_compass(filter, channel, reading.time_s)
     if change is None:
         return None
     filter.monitor.changes += [Change(channel.name, channel.sensor.models, afresh=True), change]
@@ -229,7 +229,7 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
     speed = math.sqrt(float(memory.nav[3:6].dot(memory.nav[3:6])))
     drive = filter.drive_output, filter.vehicle.drive.period_s
     course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
-    kept.refused = refused = sensor_bias.heard(channel, memory.P, speed, time_s, *drive)
+    kept.refused = refused = sensor_bias.add_rejection(channel, memory.P, speed, time_s, *drive)
     kept.refused_s = time_s
     if channel.sensor.observes is Observable.FIX:
         kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
@@ -256,7 +256,7 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
     held = any(
         other.sensor.observes.corrects == "depth"
         and other is not channel
-        and time_s - other.memory.used_s < sensor_bias.SPAN_S
+        and time_s - other.memory.used_s < settings.SPAN_S
         for other in filter.channels.values()
     )
     yield Inflate(slice(9), slice(9), sensor_bias.opened_state(channel, refused, moved_m, held, carried))
@@ -333,7 +333,7 @@ def _gone_astray(filter: FilterState, channel: Channel) -> Iterator[Action]:
 
 def pending(filter: FilterState) -> Iterator[Action]:
     """Do what refused readings have made necessary, before the next input."""
-    yield from bias_drift.look(filter)
+    yield from bias_drift.check_biases(filter)
     if filter.monitor.slope is not None:
         slope, filter.monitor.slope = filter.monitor.slope, None
         yield from filter.monitor.glr.accused(filter, slope)
@@ -416,13 +416,13 @@ def used(filter: FilterState, channel: Channel, time_s: float) -> None:
     """Note that a reading of this time has been used, and take constants of its sensor away where it turns out to have
     none.
     """
-    heading_fault.used(filter, channel, time_s)
+    heading_fault.note_heading_used(filter, channel, time_s)
     if not channel.offset:
         return
-    iron.used(filter, channel, time_s)
+    heading_fault.drop_contradicted_offset(filter, channel, time_s)
     kept, memory = channel.faults, filter.memory
     settled = (
-        time_s - kept.jumped_s >= sensor_bias.SPAN_S
+        time_s - kept.jumped_s >= settings.SPAN_S
         and not channel.faults.set_aside
         and channel.name not in _waiting(filter)
     )

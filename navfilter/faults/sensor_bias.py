@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import ground_velocity, velocity_fault
+from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.allowed_change import reckoned, wander
 from navfilter.faults.alternative_path import REACH_M
 from navfilter.faults.protection_level import CONFIRMED_S
@@ -27,11 +27,11 @@ from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.sensors.observable import Observable
 
 __all__ = [
+    "add_rejection",
     "alike",
     "as_usual_until_s",
     "decided",
     "disproved",
-    "heard",
     "is_back",
     "is_gauge",
     "is_none",
@@ -46,9 +46,6 @@ Array = NDArray[np.float64]
 #: What an offset can be told of: these read the state itself.
 JUDGED = (Observable.FIX, Observable.HEIGHT, Observable.HEADING, Observable.ATTITUDE, Observable.VELOCITY_BODY)
 PLACE = (Observable.FIX, Observable.HEIGHT)
-#: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
-#: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
-SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
 #: Times that differ by less are the same [s].
 SAME_S = 1e-6
 #: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
@@ -88,7 +85,7 @@ def alike(one: Channel, other: Channel) -> bool:
     return one.sensor.observes is other.sensor.observes and one.axes == other.axes
 
 
-def heard(
+def add_rejection(
     channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float
 ) -> RejectionRun:
     """The refusals of a channel with the reading that its kernel has just refused.
@@ -178,7 +175,7 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
         closer[1 : 1 + channel.axes] *= HELD
     if dived:
         closer[1:4] = np.minimum(closer[1:4], SURFACED)
-    if disproved(channel, time_s) and refused is not None and not refused.agree(SPAN_S):
+    if disproved(channel, time_s) and refused is not None and not refused.agree(settings.SPAN_S):
         closer[1 : 1 + channel.axes] = -1.0
     kept, scatter = channel.faults.aside, channel.faults.scatter
     worthless = scatter is not None and scatter.worthless
@@ -198,7 +195,9 @@ def as_usual_until_s(channel: Channel) -> float:
     left = refused.jumped or not memory.undisputed
     if refused.jumped and not fixes:
         return -math.inf
-    since_s = memory.rejected_since_s + SPAN_S if left and channel.sensor.observes.north is not None else math.inf
+    since_s = (
+        memory.rejected_since_s + settings.SPAN_S if left and channel.sensor.observes.north is not None else math.inf
+    )
     return min(since_s, channel.memory.used_s + channel.dive_s) - SAME_S
 
 
@@ -211,7 +210,7 @@ def disproved(channel: Channel, time_s: float) -> bool:
     if channel.sensor.observes.north is None or channel.offset or memory.refused is None:
         return False
     left = memory.refused.jumped or not memory.undisputed
-    return left and time_s - memory.rejected_since_s > SPAN_S
+    return left and time_s - memory.rejected_since_s > settings.SPAN_S
 
 
 def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"] | None:
@@ -229,11 +228,18 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
     """
     memory, kind = channel.faults, channel.sensor.observes
     refused = memory.refused
-    if refused is not None and not carried and is_gauge(channel) and refused.last_s - memory.rejected_since_s >= SPAN_S:
+    if (
+        refused is not None
+        and not carried
+        and is_gauge(channel)
+        and refused.last_s - memory.rejected_since_s >= settings.SPAN_S
+    ):
         off = float(np.abs(channel.res[0]))
         if off > GROWN * abs(refused.first[0]) and off < REACH_M:
             return "state"
-    if refused is None or not refused.agree(VELOCITY_SPAN_S if kind is Observable.VELOCITY_BODY else SPAN_S):
+    if refused is None or not refused.agree(
+        settings.VELOCITY_SPAN_S if kind is Observable.VELOCITY_BODY else settings.SPAN_S
+    ):
         return None
     fixes = kind is Observable.FIX
     if refused.from_the_first():

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["VelocityFault", "jumped", "shows_itself", "unchanged", "variances"]
+__all__ = ["VelocityFault", "jumped", "shows_itself", "unchanged", "widened_variances"]
 
 Array = NDArray[np.float64]
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.
@@ -85,7 +85,7 @@ def unchanged(kept: VelocityFault, z: Array) -> bool:
     return bool(np.isfinite(off).any() and np.nanmax(off) <= SAME * _size(kept.read))
 
 
-def variances(kept: VelocityFault, z: Array, plain: Array) -> Array:
+def widened_variances(kept: VelocityFault, z: Array, plain: Array) -> Array:
     """White variances of a reading, and beside them what its change may hide."""
     return np.asarray(plain + (SLOPE * np.nan_to_num(z - np.array(kept.read))) ** 2)
 

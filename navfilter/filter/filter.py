@@ -6,7 +6,8 @@ Users see `navfilter.navigation.navigator` of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -30,17 +31,19 @@ from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
-from navfilter.filter.workspace import shared
 from navfilter.foundation.arguments import needs
 from navfilter.kernels import batch, consistency, kalman, measurement, strapdown
+from navfilter.kernels.compiling import addresses
+from navfilter.kernels.compiling.addresses import address
 from navfilter.models.error_models import per_axis
 from navfilter.models.fault_bias import described, offset_states, with_the_same_offsets
 from navfilter.models.learned_arma import learning_part
+from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Filter"]
+__all__ = ["Filter", "shared"]
 
 Array = NDArray[np.float64]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
@@ -563,3 +566,47 @@ class Filter:
     def errors(self) -> dict[str, float]:
         """Estimates of all error states and parameters by name."""
         return dict(zip(self.layout.names, self.memory.x.tolist(), strict=True))
+
+
+#: Steps of the drives, as the kernel takes them.
+TRACED = {
+    strapdown.imu_steps: strapdown.imu_traced,
+    strapdown.dead_reckoning_steps: strapdown.dead_reckoning_traced,
+}
+
+
+def shared(
+    channels: Sequence[Channel], drive: Mechanisation, folds: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Let all channels work in one array.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        As they have been laid out.
+    drive : Mechanisation
+    folds : ndarray of int, shape (7,)
+        Dimensions of a fold between readings, see ``kalman.places``.
+
+    Returns
+    -------
+    bench : ndarray
+    plan : ndarray of int, shape (channels + 1, PLAN)
+        What stands where, see `navfilter.kernels.batch`.
+    last : ndarray of int, shape (PLAN,)
+        Its last row.
+    """
+    n, m = folds[1:3].tolist()
+    *begins, end = accumulate((channel.size for channel in channels), initial=0)
+    bench = np.zeros(end + m * m + max(m * n, 9 * (n + m + 9)))
+    last = np.zeros(batch.PLAN, np.int64)
+    last[: len(folds)], last[batch.MEM] = folds, end
+    last[batch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])
+    rows = [channel.settle(bench, begin) for channel, begin in zip(channels, begins, strict=True)]
+    last[batch.STEPS] = address(TRACED[drive.steps], addresses.STEPS)
+    last[batch.HOLD] = address(drive.hold, addresses.HOLD)
+    last[batch.CORRECTION] = address(batch.correction, addresses.CORRECTION)
+    for row in rows:
+        if row[batch.SIGHT]:
+            row[batch.MOTION] = address(drive.moved, addresses.MOTION)
+    return bench, np.array([*rows, last]), last

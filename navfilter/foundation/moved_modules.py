@@ -29,7 +29,7 @@ filter.channel filter.sensor_channel, filter.chi_square foundation.chi_square, f
 filter.course faults.heading_fault, filter.described filter.channel_model, filter.drive_clock faults.clocks.imu_clock,
 filter.drive_watch faults.imu.monitor, filter.gating faults.innovation_gate, filter.health faults.sensor_monitor,
 filter.heights faults.depth_fault, filter.history navigation.history, filter.intake filter.imu_intake,
-filter.integrity faults.protection_level, filter.iron faults.iron, filter.jumps faults.imu.bias_glr,
+filter.integrity faults.protection_level, filter.iron faults.heading_fault, filter.jumps faults.imu.bias_glr,
 filter.lane_choice faults.lane_selection, filter.layout filter.state_layout, filter.memory foundation.state_values,
 filter.offsets models.fault_bias, filter.over_ground faults.ground_velocity, filter.ramp faults.imu.acceleration,
 filter.realignment faults.imu.realignment, filter.reckoned faults.dead_reckoning_compass, filter.refusals
@@ -41,10 +41,10 @@ navigation.lanes.state_transfer, filter.turns faults.imu.gyro_scale, filter.wait
 foundation.arguments, identification.bands identification.cosine_spectrum, identification.lines
 identification.spectral_lines, identification.reading models.interpretation, identification.sheet_page
 identification.noise_sheet_page, identification.sheet_words identification.noise_sheet_text, identification.stillness
-identification.static_detection, io.epoch io.mission_epoch, io.logs.carrying io.logs.sentence_times, io.logs.choosing
+identification.static_detection, io.epoch io.mission_start, io.logs.carrying io.logs.sentence_times, io.logs.choosing
 io.logs.topic_names, io.logs.gathering io.logs.record_columns, io.logs.known io.logs.known_topics, io.logs.shelf
 io.logs.cache, io.merging io.stream_joining, io.native io.mission_npz, io.starting io.mission_start, io.where
-io.row_conditions, kernels.addresses kernels.compiling.addresses, kernels.arma kernels.recursive_arma,
+io.table, kernels.addresses kernels.compiling.addresses, kernels.arma kernels.recursive_arma,
 kernels.arma_window kernels.recursive_arma_window, kernels.channel kernels.arma_likelihood, kernels.decorators
 kernels.compiling.decorators, kernels.drive_watch kernels.imu_checks, kernels.fit kernels.arma_fit, kernels.jumps
 kernels.bias_glr, kernels.listen kernels.open_loop_residual, kernels.past kernels.delayed_state, kernels.registers
@@ -76,7 +76,7 @@ sensors.beams models.sensors.beams, sensors.course models.sensors.course, sensor
 sensors.odometer models.sensors.odometer, sensors.position models.sensors.position, sensors.ranges
 models.sensors.ranges, sensors.sensor models.sensors.sensor, sensors.traits models.sensors.traits, sensors.turning
 models.sensors.zero_rate, sensors.usbl models.sensors.usbl, sensors.velocity models.sensors.velocity, service.outlet
-service.output, service.tally service.counters, start models.start, state models.state, track_bounds
+service.output, service.tally service.loop, start models.start, state models.state, track_bounds
 navigation.track_bounds, track_plot track.plot, track_trust track.trust, track_views track.track, utc foundation.utc,
 vehicle models.vehicle, warming playback.warm_up
 """

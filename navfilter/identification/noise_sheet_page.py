@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.identification.noise_sheet import AxisSheet, NoiseSheet
-from navfilter.identification.noise_sheet_text import allan_rows, as_dict, drive_toml, groups, rows
+from navfilter.identification.noise_sheet_text import allan_rows, drive_toml, groups, rows, sheet_dict
 from navfilter.identification.report import write_page
 from navfilter.io.inertial import ImuRecord
 from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
@@ -53,7 +53,7 @@ def write_sheet(
         f'<div class="wide"><pre>{escape(drive_toml(sheet))}</pre></div>',
         list_html(sheet.remarks),
     ]
-    texts = {"identify.json": json.dumps(as_dict(sheet), indent=1) + "\n", "drive.toml": drive_toml(sheet)}
+    texts = {"identify.json": json.dumps(sheet_dict(sheet), indent=1) + "\n", "drive.toml": drive_toml(sheet)}
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     with style():

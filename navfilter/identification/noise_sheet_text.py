@@ -16,7 +16,7 @@ from navfilter.identification.noise_terms import NoiseFit
 from navfilter.identification.report import plain
 from navfilter.rendering.page import table_text
 
-__all__ = ["allan_rows", "as_dict", "drive_toml", "rows", "sheet_text"]
+__all__ = ["allan_rows", "drive_toml", "rows", "sheet_dict", "sheet_text"]
 
 _DEG = 180.0 / math.pi
 _HOUR = 3600.0
@@ -223,7 +223,7 @@ def _digits(value: float, digits: int = 4) -> str:
 # --- JSON -----------------------------------------------------------------------------------------------------------
 
 
-def as_dict(sheet: NoiseSheet) -> dict[str, Any]:
+def sheet_dict(sheet: NoiseSheet) -> dict[str, Any]:
     """Everything as plain numbers, lists and text, in SI and in the units of the sheet; None where no number is."""
     return {
         key: plain(value)

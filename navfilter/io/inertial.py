@@ -12,35 +12,20 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io import read_mission
+from navfilter.io.axis_columns import SIZES, bare_name, found_axes
 from navfilter.io.series import on_a_grid
-from navfilter.io.table import Table
-from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.table import Table, TableOptions
+from navfilter.io.tables import read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import Unit, parse_quantity, unit
 from navfilter.models.mission import MissionError, Stream
 
-__all__ = ["ImuColumns", "ImuRecord", "bare_name", "found_axes", "read_imu", "size_of", "size_of_axes"]
+__all__ = ["ImuColumns", "ImuRecord", "read_imu", "size_of"]
 
 Array = npt.NDArray[np.float64]
 
-#: Names of columns, without their units, in lower case; the last character is the axis.
-_NAMES = {
-    "gyro": r"(?:.*[._ ])?(?:gyros?|gyroscope|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rate|w|g)[._ \[]?",
-    "accel": r"(?:.*[._ ])?(?:acc|accels?|accelerometer|acceleration|linear_?acceleration|(?:specific_?)?force|f|a)"
-    r"[._ \[]?",
-}
-_AXES = (("x", "y", "z"), ("0", "1", "2"), ("1", "2", "3"))
 _DIMENSIONS = {"gyro": "angular rate", "accel": "acceleration"}
-#: Endings of names that are units.
-_ENDINGS = {
-    "rad_s": "rad/s", "rad/s": "rad/s", "rads": "rad/s", "deg_s": "deg/s", "deg/s": "deg/s", "dps": "deg/s",
-    "deg_h": "deg/h", "m_s2": "m/s^2", "m/s2": "m/s^2", "m/s^2": "m/s^2", "ms2": "m/s^2", "g": "g", "mg": "mg",
-}  # fmt: skip
-#: What the size of a resting accelerometer says of its unit.
-_SIZES = (("m/s^2", 9.80665), ("g", 1.0), ("mg", 1000.0))
 _SIZE_TOLERANCE = 0.25
-#: No vehicle turns faster [rad/s]: larger numbers are degrees.
-_FAST_RAD_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -254,28 +239,6 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
     return _on_a_grid(table.path, time, axes, columns.rate_hz, notes)
 
 
-def bare_name(name: str) -> tuple[str, str]:
-    """A column's name in lower case without its unit, and that unit."""
-    text = name.strip().lower()
-    if match := re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])0-9][^\])]*)[\])]", text):
-        return match[1].strip(), match[2].strip()
-    for ending, meant in _ENDINGS.items():
-        if text.endswith(f"_{ending}"):
-            return text.removesuffix(f"_{ending}"), meant
-    return text, ""
-
-
-def found_axes(table: Table, group: str) -> tuple[str, ...]:
-    """The columns of the axes x, y, z of ``"gyro"`` or ``"accel"``, by their names; empty where there are none."""
-    bare = {name: bare_name(name)[0] for name in table.columns}
-    for axes in _AXES:
-        for pattern in (rf"{_NAMES[group]}({{}})\]?", rf"({{}})_?{_NAMES[group]}"):
-            found = [[n for n, text in bare.items() if re.fullmatch(pattern.format(axis), text)] for axis in axes]
-            if all(found):
-                return tuple(names[0] for names in found)
-    return ()
-
-
 def _reference(table: Table, column: str) -> str:
     if column not in table.columns and column.lstrip("-").isdecimal():
         table.raw(int(column))
@@ -296,24 +259,12 @@ def _factor(
         return size * found.factor
     if group == "accel":
         length = float(np.sqrt(sum(float(np.nanmedian(value)) ** 2 for value in values)))
-        for name, gravity in _SIZES:
+        for name, gravity in SIZES:
             if abs(length / gravity - 1.0) < _SIZE_TOLERANCE:
                 notes.append(f"accel is taken to be in {name}, because gravity reads {length:.4g}")
                 return unit(name).factor
     example = "deg/s, or 0.05 deg/s for counts of that size" if group == "gyro" else "g, or 0.001 g for such counts"
     raise MissionError(f"{table.path}: say in which unit {', '.join(names)} are: --{group}-unit U ({example}).")
-
-
-def size_of_axes(table: Table, group: str, names: Sequence[str]) -> str:
-    """The unit of axes: as their names say, of accelerometers by gravity, of gyros by how fast they turn."""
-    told = table.units.get(names[0], "") or bare_name(names[0])[1]
-    if told:
-        return told
-    values = [table.numbers(name)[0] for name in names]
-    if group == "accel":
-        length = float(np.sqrt(sum(float(np.nanmedian(value)) ** 2 for value in values)))
-        return min(_SIZES, key=lambda one: abs(np.log(max(length, 1e-9) / one[1])))[0]
-    return "deg/s" if max(float(np.nanquantile(np.abs(value), 0.99)) for value in values) > _FAST_RAD_S else "rad/s"
 
 
 def size_of(text: str) -> tuple[float, Unit]:

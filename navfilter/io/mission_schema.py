@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, create_model, field_validator, model_validator
 
 from navfilter.io.contents import SD, SERIES, contents, groups, kind_of
-from navfilter.io.row_conditions import Where
+from navfilter.io.table import Where
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
 

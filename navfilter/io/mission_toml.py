@@ -14,7 +14,6 @@ from navfilter.io.contents import SD, driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
 from navfilter.io.logs.topic_names import INSTRUMENT
-from navfilter.io.mission_epoch import day_of, epoch_of
 from navfilter.io.mission_schema import (
     Clock,
     MissionSpec,
@@ -25,7 +24,7 @@ from navfilter.io.mission_schema import (
     each_of,
     mission_spec,
 )
-from navfilter.io.mission_start import start_of
+from navfilter.io.mission_start import day_of, epoch_of, start_of
 from navfilter.io.stamps import runs_of, shown, strays
 from navfilter.io.stream_joining import block_mean, block_sd, mean, resampled
 from navfilter.io.tables import Table, TableOptions, read_table

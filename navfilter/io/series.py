@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io import read_mission
-from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.table import TableOptions
+from navfilter.io.tables import Table, read_table
 from navfilter.io.text_tables import delimiter_of, fields_of
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import unit

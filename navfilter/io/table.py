@@ -5,19 +5,59 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import model_validator
 
+from navfilter.io.validation import Strict
 from navfilter.models.mission import MissionError
 
-__all__ = ["BLANK", "Table", "listing"]
+__all__ = ["BLANK", "Table", "TableOptions", "Where", "listing"]
 
 Array = npt.NDArray[np.float64]
 
 #: Texts that say that there is no value.
 BLANK = ("", "nan", "na", "n/a", "null", "none")
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """How a file is laid out; the defaults recognise most files by themselves.
+
+    Parameters
+    ----------
+    table : str
+        Which array of a container (.npz, .mat), such as ``"data.imu"``; an index picks one plane: ``"data[0]"``.
+    transpose : bool
+        True where each row of the array is a quantity and each column a sample.
+    header : bool, tuple of str or None
+        Whether a text file has a line of names, or the names themselves; None: a first line without any number is one.
+    delimiter : str or None
+        ``","``, ``";"``, ``"\\t"``, ``"whitespace"`` or None (recognised from the first line).
+    decimal : str or None
+        Decimal point or comma; None: a comma where the numbers of the first rows have one and none has a point.
+    comment : str
+        What begins a line of comment, or a comment behind a whole row; within a cell it is text.
+    skip_lines, skip_rows : int
+        Lines to skip before the header; rows of data to skip after it.
+    topic : str
+        Of a log (see `navfilter.io.logs`): which of its topics.
+    where : tuple of Where
+        Only the rows that fulfil all these conditions.
+    """
+
+    table: str = ""
+    transpose: bool = False
+    header: bool | tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    comment: str = "#"
+    skip_lines: int = 0
+    skip_rows: int = 0
+    topic: str = ""
+    where: tuple[Where, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -114,3 +154,82 @@ def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) ->
         return f"{len(names)} {what}, not shown: the file lies outside the folder of the mission"
     shown = ", ".join(f'"{name}"' for name in names[:most])
     return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+if TYPE_CHECKING:
+    from navfilter.io.table import Table
+
+
+Bool = npt.NDArray[np.bool_]
+
+
+class Where(Strict):
+    """One condition on one column; exactly one of the four keys beside `column`.
+
+    Parameters
+    ----------
+    column : str or int
+        Name or position of the column.
+    equals : str, bool, float or a list of them
+        The row counts where the cell is (one of) this; text is compared without the blanks around it.
+    at_least, at_most : float
+        The row counts where the number is known and not below, not above this.
+    known : bool
+        True: the row counts where the cell is a finite number, or text that is not empty.
+    """
+
+    column: str | int
+    equals: str | bool | float | tuple[str | bool | float, ...] | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    known: bool | None = None
+
+    @model_validator(mode="after")
+    def _one_condition(self) -> Where:
+        if self.equals is None and self.at_least is None and self.at_most is None and self.known is None:
+            raise ValueError("give equals, at_least, at_most or known")
+        return self
+
+    def rows(self, table: Table) -> Bool:
+        """Mask of the rows of a table that fulfil the condition, shape (n,)."""
+        keep = np.ones(table.raw(self.column).shape[0], dtype=bool)
+        if self.equals is not None:
+            choices = self.equals if isinstance(self.equals, tuple) else (self.equals,)
+            keep &= np.logical_or.reduce([self._is(table, choice) for choice in choices])
+        if self.at_least is not None:
+            keep &= table.numbers(self.column)[0] >= self.at_least
+        if self.at_most is not None:
+            keep &= table.numbers(self.column)[0] <= self.at_most
+        if self.known is not None:
+            keep &= self._known(table) == self.known
+        return keep
+
+    def words(self) -> str:
+        """The condition as a note has it: ``velocity_valid = true``."""
+        given: list[str] = []
+        if self.equals is not None:
+            given.append(f"= {_shown(self.equals)}")
+        given += [] if self.at_least is None else [f">= {self.at_least:g}"]
+        given += [] if self.at_most is None else [f"<= {self.at_most:g}"]
+        given += [] if self.known is None else ["known" if self.known else "unknown"]
+        return f"{self.column} {' and '.join(given)}"
+
+    def _is(self, table: Table, choice: str | bool | float) -> Bool:
+        if isinstance(choice, str):
+            return np.array([str(cell).strip() == choice for cell in table.raw(self.column)], dtype=bool)
+        raw = table.raw(self.column)
+        if isinstance(choice, bool) and raw.dtype.kind in "OUT":
+            return np.array([str(cell).strip().lower() == str(choice).lower() for cell in raw], dtype=bool)
+        return table.numbers(self.column)[0] == float(choice)
+
+    def _known(self, table: Table) -> Bool:
+        raw = table.raw(self.column)
+        if raw.dtype.kind in "fiub":
+            return np.isfinite(raw.astype(np.float64))
+        return np.array([str(cell).strip().lower() not in ("", "nan", "none") for cell in raw], dtype=bool)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return " or ".join(map(_shown, value))
+    return str(value).lower() if isinstance(value, bool) else f"{value}"

@@ -10,15 +10,14 @@ import bz2
 import gzip
 import lzma
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from navfilter.io.row_conditions import Where
-from navfilter.io.table import Table, listing
+from navfilter.io.table import Table, TableOptions, Where, listing
 from navfilter.io.text_tables import before_comment, read_text
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
@@ -34,44 +33,6 @@ _ALOG = ("time", "name", "source", "value")
 _BINARY = {".npy", ".npz", ".mat"}
 #: Logs that cannot be taken for tables.
 _LOGS = {".bag", ".db3", ".mcap", ".ulg", ".tlog", ".ad2cp"}
-
-
-@dataclass(frozen=True)
-class TableOptions:
-    """How a file is laid out; the defaults recognise most files by themselves.
-
-    Parameters
-    ----------
-    table : str
-        Which array of a container (.npz, .mat), such as ``"data.imu"``; an index picks one plane: ``"data[0]"``.
-    transpose : bool
-        True where each row of the array is a quantity and each column a sample.
-    header : bool, tuple of str or None
-        Whether a text file has a line of names, or the names themselves; None: a first line without any number is one.
-    delimiter : str or None
-        ``","``, ``";"``, ``"\\t"``, ``"whitespace"`` or None (recognised from the first line).
-    decimal : str or None
-        Decimal point or comma; None: a comma where the numbers of the first rows have one and none has a point.
-    comment : str
-        What begins a line of comment, or a comment behind a whole row; within a cell it is text.
-    skip_lines, skip_rows : int
-        Lines to skip before the header; rows of data to skip after it.
-    topic : str
-        Of a log (see `navfilter.io.logs`): which of its topics.
-    where : tuple of Where
-        Only the rows that fulfil all these conditions.
-    """
-
-    table: str = ""
-    transpose: bool = False
-    header: bool | tuple[str, ...] | None = None
-    delimiter: str | None = None
-    decimal: str | None = None
-    comment: str = "#"
-    skip_lines: int = 0
-    skip_rows: int = 0
-    topic: str = ""
-    where: tuple[Where, ...] = ()
 
 
 def read_table(file: Path | Place, options: TableOptions | None = None, shelf: Shelf | None = None) -> Table:

@@ -12,16 +12,12 @@ import io
 import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from navfilter.io.table import Table
+from navfilter.io.table import Table, TableOptions
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
-
-if TYPE_CHECKING:
-    from navfilter.io.tables import TableOptions
 
 __all__ = ["before_comment", "delimiter_of", "fields_of", "read_text"]
 

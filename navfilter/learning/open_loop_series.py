@@ -17,7 +17,6 @@ from navfilter.learning.background import Task, Worker
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
 from navfilter.learning.setup import learner_of, with_learnt
-from navfilter.learning.spikes import without_spikes
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import known_walk, known_white, learning_part
 from navfilter.models.navigation_drift import FOUND_S
@@ -25,7 +24,7 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 from navfilter.models.window_limits import LEAST, LONGEST_GAP
 
-__all__ = ["ChannelSeries", "OpenLoopSeries"]
+__all__ = ["ChannelSeries", "OpenLoopSeries", "without_spikes"]
 
 Array = NDArray[np.float64]
 #: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
@@ -413,3 +412,38 @@ class OpenLoopSeries:
         if expect and new is not models:
             expect(self.name, new)
         return new, self._levels(new), memories(own)
+
+
+#: A sample so many robust deviations from its neighbours is a spike.
+SPIKE = 8.0
+
+
+def without_spikes(series: Array) -> Array:
+    """A copy with NaN where a sample stands out from the median of the five around it by more than `SPIKE` robust
+    deviations.
+
+    The filter's gate cannot do this: it judges by what is believed of the sensor, which is what is to be learnt.
+    """
+    result = np.array(series, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(result))
+    if known.size < 5:
+        return result
+    # the drift may run away by metres per tick: most of it is a low polynomial, and what that leaves is smooth
+    y = result[known]
+    place = (known - known[0]) * (2.0 / (known[-1] - known[0])) - 1.0
+    basis = np.polynomial.chebyshev.chebvander(place, 5)
+    y -= basis @ np.linalg.lstsq(basis.T @ basis, basis.T @ y, rcond=None)[0]
+    padded = np.concatenate([y[[2, 1]], y, y[[-2, -3]]])
+    size = np.abs(y - _middle(*(padded[i : i + y.size] for i in range(5))))
+    # where most samples equal their median (quantised readings), the mean of the others says how much is ordinary
+    median, most = np.interp([0.5 * (y.size - 1), 0.99 * (y.size - 1)], np.arange(y.size), np.sort(size))
+    scale = max(1.4826 * float(median), float(np.mean(np.minimum(size, most))))
+    result[known[size > SPIKE * scale]] = np.nan
+    return result
+
+
+def _middle(a: Array, b: Array, c: Array, d: Array, e: Array) -> Array:
+    """Median of each five."""
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e))

@@ -23,10 +23,10 @@ from navfilter.filter.model_change import Change, adoption
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import open_loop_residual
+from navfilter.kernels.batch import STUCK_S
 from navfilter.learning import consistency
 from navfilter.learning.background import Worker
 from navfilter.learning.consistency import CONTRADICTED, ConsistencyRecord, departure, is_near
-from navfilter.learning.doubtful import doubtful_ticks
 from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest, relaid
 from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopSeries
@@ -34,7 +34,7 @@ from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import as_described, learning_part
 
-__all__ = ["LearningSchedule"]
+__all__ = ["LearningSchedule", "doubtful_ticks"]
 
 Array = NDArray[np.float64]
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
@@ -467,3 +467,19 @@ class LearningSchedule:
                 listener.give_up()
         self._go_on()
         return inputs
+
+
+#: So many refused readings on end, all off by the same at once, are no outliers any more.
+JUMPED = 3
+
+
+def doubtful_ticks(channel: Channel, time_s: float) -> int:
+    """How many ticks of a sensor, up to its reading of a time [s], show no error to be learnt: those of one that is
+    stuck or has jumped. What a gate refuses for another reason is learnt from: it shows an error larger than believed.
+    """
+    memory, refused = channel.faults, channel.faults.refused
+    if channel.stuck:
+        return round(STUCK_S / channel.period_s) + 1
+    if refused is not None and refused.jumped and refused.count >= JUMPED:
+        return round((time_s - memory.rejected_since_s) / channel.period_s) + 1
+    return int(channel.offset)

@@ -70,7 +70,7 @@ class Kinematics:
         return latitude, longitude, self.height - by_n[:, 2]
 
 
-def wrap(angle: Array) -> Array:
+def wrapped(angle: Array) -> Array:
     """The same angle within (-pi, pi]."""
     return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
 
@@ -133,7 +133,7 @@ def attitude(here: Kinematics, truth: Truth, declination: float) -> SimulatedRea
     """Roll, pitch and yaw, rad, with the deviation of the compass in the yaw, which counts from magnetic north."""
     yaw = here.attitude[:, 2] - declination
     value = here.attitude + truth.error
-    value[:, 2] = wrap(yaw + truth.error[:, 2] + truth.deviation(yaw))
+    value[:, 2] = wrapped(yaw + truth.error[:, 2] + truth.deviation(yaw))
     return value, ("roll_rad", "pitch_rad", "yaw_rad")
 
 

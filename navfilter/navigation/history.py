@@ -16,12 +16,12 @@ from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import copied
 
-__all__ = ["History", "Run"]
+__all__ = ["History", "Restorable"]
 
 Array = NDArray[np.float64]
 
 
-class Run(Protocol):
+class Restorable(Protocol):
     """What has a history: it is fed in order, and can go back."""
 
     memory: Any
@@ -46,7 +46,7 @@ class History:
 
     Parameters
     ----------
-    run : Run
+    run : Restorable
     length_s : float
     sensors : sequence of str
         In the order in which readings of one time are taken.
@@ -56,7 +56,7 @@ class History:
     #: and those before samples, which are many and have no time to spare, where readings are rare.
     SPACING_S, RARE_S = 0.4, 1.0
 
-    def __init__(self, run: Run, length_s: float, sensors: Sequence[str]) -> None:
+    def __init__(self, run: Restorable, length_s: float, sensors: Sequence[str]) -> None:
         self.run, self.length_s, self.sensors = run, length_s, list(sensors)
         self.replayed_s = 0.0
         self.start_here()

@@ -11,9 +11,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from navfilter.io.json_lines import Item, LineParser, Note, Reading
+from navfilter.io.json_lines import BadLine, Item, LineParser, Note, Reading
 from navfilter.models.vehicle import Vehicle
-from navfilter.service.counters import Tally
 from navfilter.service.disk import Disk
 from navfilter.service.instruments import Instrument
 from navfilter.service.kernel_cache import warm
@@ -26,7 +25,7 @@ from navfilter.service.setup import Service
 from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
 
-__all__ = ["ORDERED", "UNASKED", "run"]
+__all__ = ["ORDERED", "UNASKED", "Tally", "run"]
 
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1
@@ -335,3 +334,28 @@ class _Run:
         for instrument in self._instruments:
             instrument.close()
         self._source.close()
+
+
+class Tally:
+    """Passes items on; gathers bad lines that are not quoted any more until the next reading, or until `due` is called.
+
+    So there is at most one note of each kind between two readings, however much noise there is, and where it stands
+    follows from the lines alone. Without readings `due` is to be called once a second.
+    """
+
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+
+    def take(self, items: Iterable[Item]) -> Iterator[Item]:
+        """The items, with one note for many bad lines."""
+        for item in items:
+            if isinstance(item, BadLine) and not item.text:
+                self._counts[item.kind] = self._counts.get(item.kind, 0) + item.lines
+            else:
+                yield from self.due()
+                yield item
+
+    def due(self) -> list[Item]:
+        """What has been gathered."""
+        counts, self._counts = self._counts, {}
+        return [BadLine.several(kind, count) for kind, count in counts.items()]

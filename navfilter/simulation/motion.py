@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 
-from navfilter.models.truth import Kinematics, wrap
+from navfilter.models.truth import Kinematics, wrapped
 from navfilter.simulation.earth import frame_rates, gravity, integrate_path
 from navfilter.simulation.manoeuvres import BLEND, Manoeuvre, Piece, descent
 
@@ -151,7 +151,7 @@ class Motion:
         force_n = acceleration_n + np.cross(2.0 * earth_n + transport_n, velocity_n)
         force_n[:, 2] -= gravity(latitude, height)
         rate_eb_b = rate_nb_b + _to_body(C_nb, transport_n)
-        attitude = np.stack([angles[:, 2], angles[:, 1], wrap(angles[:, 0])], axis=-1)
+        attitude = np.stack([angles[:, 2], angles[:, 1], wrapped(angles[:, 0])], axis=-1)
         rate_b = rate_eb_b + _to_body(C_nb, earth_n)
         force_b = _to_body(C_nb, force_n)
         return Kinematics(t, latitude, longitude, height, velocity_n, attitude, C_nb, rate_b, rate_eb_b, force_b)

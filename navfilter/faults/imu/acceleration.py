@@ -22,7 +22,7 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
 
-__all__ = ["accused", "ramp_of", "with_refused"]
+__all__ = ["accused", "add_to_line", "ramp_of"]
 
 Array = NDArray[np.float64]
 #: A ramp is told by so many refused readings at the earliest, over so long a time [s], by a slope of so many standard
@@ -68,8 +68,8 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
     elif time_s == since_s or float(np.linalg.norm(filter.memory.monitor.imu[:3, kernel.MEAN])) > TURNING:
         kept.ramp, slope = (), None
     elif believable(residual, math.hypot(*nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
-        kept.ramp = with_refused(kept.ramp, time_s - since_s, residual, read(filter, channel))
-        slope = ramp_of(kept.ramp, ground_velocity.variances(channel, nav)) if kept.ramp else None
+        kept.ramp = add_to_line(kept.ramp, time_s - since_s, residual, read(filter, channel))
+        slope = ramp_of(kept.ramp, ground_velocity.residual_variances(channel, nav)) if kept.ramp else None
         # a velocity through water may change with the water, slowly, too
         slope = slope if float(np.linalg.norm(residual)) > channel.sensor.flows_m_s else None
     else:
@@ -119,7 +119,7 @@ def read(filter: FilterState, channel: Channel) -> Array:
     return np.asarray(nav[6:15].reshape(3, 3).T @ nav[3:6] + off_b)
 
 
-def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array, reading: Array) -> tuple[float, ...]:
+def add_to_line(ramp: tuple[float, ...], age_s: float, residual: Array, reading: Array) -> tuple[float, ...]:
     """The sums of a straight line through residuals with another one: the first age, their number, sums of ages and
     squared ages, and axis by axis of residuals, of their products with the ages, and of their squares; last the first
     reading as a velocity. Empty before the first whole one.
@@ -148,7 +148,7 @@ def reads_the_same(ramp: tuple[float, ...], reading: Array, slope: float) -> boo
 
 
 def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
-    """Slope of a ramp that began at nothing [m/s^2], from the sums of `with_refused`; None where there is none.
+    """Slope of a ramp that began at nothing [m/s^2], from the sums of `add_to_line`; None where there is none.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ from navfilter.kernels.bias_drift import (
     largest_change,
 )
 
-__all__ = ["due_s", "fresh", "gyros", "look", "looking", "shifted"]
+__all__ = ["check_biases", "due_s", "fresh", "gyros", "looking", "shifted"]
 
 Array = NDArray[np.float64]
 #: The estimates are looked at so often [s], and held against those of so many looks before [1].
@@ -99,7 +99,7 @@ def gyros(drive: Group, period_s: float) -> Array:
     return known
 
 
-def look(filter: FilterState) -> Iterator[Action]:
+def check_biases(filter: FilterState) -> Iterator[Action]:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory = filter.memory
     latest_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)

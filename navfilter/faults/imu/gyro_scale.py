@@ -23,7 +23,7 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
 
-__all__ = ["GyroScaleTest", "agrees", "contradicted", "look", "refused"]
+__all__ = ["GyroScaleTest", "agrees", "check_readmission", "refused", "wrong_since"]
 
 Array = NDArray[np.float64]
 #: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s].
@@ -110,7 +110,7 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
     proven = fast - now.followed - turned >= FOLLOWED or _undisputed(channel)
     lasts = time_s - kept.rejected_since_s >= LASTS_S
     may_be = lasts and proven and _velocity_refused(filter, time_s)
-    since_s = contradicted(now.steps) if may_be else None
+    since_s = wrong_since(now.steps) if may_be else None
     if since_s is None:
         if time_s - kept.rejected_since_s >= DISPUTED_S:
             kept.turns = replace(now, followed=fast)
@@ -119,7 +119,7 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
     kept.turns = replace(now, steps=())
 
 
-def look(filter: FilterState) -> None:
+def check_readmission(filter: FilterState) -> None:
     """Whether a gyro that is left out turns with the heading again; then it may be used."""
     memory, w = filter.memory, filter.memory.monitor.imu
     held = np.flatnonzero(w[:3, kernel.HELD])
@@ -133,7 +133,7 @@ def look(filter: FilterState) -> None:
             w[held, kernel.HELD], kept.turns = 0.0, replace(kept.turns, steps=())
 
 
-def contradicted(steps: tuple[tuple[float, ...], ...]) -> float | None:
+def wrong_since(steps: tuple[tuple[float, ...], ...]) -> float | None:
     """Since when a gyro turns by a multiple of what a compass does [s]; None where it does not.
 
     Parameters
@@ -171,7 +171,7 @@ def agrees(steps: tuple[tuple[float, ...], ...]) -> bool:
     _, c, g, v = np.array(steps).T
     information = float(np.sum(c * c / v))
     factor = float(np.sum(c * g / v)) / max(information, 1e-300)
-    return information > KNOWN**-2 and abs(factor - 1.0) < CLOSE and contradicted(steps) is None
+    return information > KNOWN**-2 and abs(factor - 1.0) < CLOSE and wrong_since(steps) is None
 
 
 def _heading(nav: Array) -> float:

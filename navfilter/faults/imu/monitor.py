@@ -199,7 +199,7 @@ class ImuMonitor:
                 yield Inflate(slice(9), slice(9), np.outer(done, done))
         if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
             unit[kernel.TICK] = 0.0
-            gyro_scale.look(filter)
+            gyro_scale.check_readmission(filter)
             for first in (0, 3):
                 if memory.time_s > w[first, kernel.UNTIL_S]:
                     yield from filter.monitor.glr.take_back(w[first : first + 3], first, filter)

@@ -20,13 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io import dates
-from navfilter.io.inertial import bare_name, found_axes, size_of_axes
+from navfilter.io.axis_columns import bare_name, found_axes, size_of_axes
 from navfilter.io.logs.formats import Format
 from navfilter.io.logs.known_topics import Use
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.series import first_lines
-from navfilter.io.table import Table, listing
-from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.table import Table, TableOptions, listing
+from navfilter.io.tables import read_table
 from navfilter.io.text_tables import delimiter_of, fields_of
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import ALIASES, UNITS, angles, unit

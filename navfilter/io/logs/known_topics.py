@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io.logs.survey import Survey, Topic
-from navfilter.io.row_conditions import Where
-from navfilter.io.table import Table
+from navfilter.io.table import Table, Where
 
 __all__ = ["READINGS", "Use", "uses_of"]
 
