@@ -8,7 +8,7 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.faults.clocks import sensor_clock
+from navfilter.faults import settings as fault_settings
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -286,7 +286,7 @@ def test_the_first_readings_of_a_clock_that_was_set_wait_until_that_is_told(sens
     events = events_of(vehicle, mission)
     best, _ = flown(vehicle, mission, events)
     nav, outcomes = flown(vehicle, mission, stamped(events, 1.0, (sensor,), 40.0))
-    assert sum(outcome.status == "waiting" for outcome in outcomes) == sensor_clock.SET - 1
+    assert sum(outcome.status == "waiting" for outcome in outcomes) == fault_settings.SET - 1
     assert not nav.clock.memory.early and "late" not in nav.health.drive
     assert not nav.counts["jumped"] and not nav.counts["gap"]
     for name in vehicle.sensors:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.faults.lane_selection import FULL, MARGIN, STEP_S, LaneChoice
+from navfilter.faults import settings as fault_settings
+from navfilter.faults.lane_selection import FULL, LaneChoice
 from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.io.json_lines import LineParser
@@ -98,12 +99,12 @@ def choice_with(gains, seconds=5.0):
     """A choice after readings that the lanes (two inertial ones, one without) foretold with these errors [sd]."""
     sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
     choice = LaneChoice([True, True, False], sensors, 0.0)
-    for second in range(round(seconds / STEP_S)):
-        choice.decide_until((second + 0.5) * STEP_S)
+    for second in range(round(seconds / fault_settings.LANE_STEP_S)):
+        choice.decide_until((second + 0.5) * fault_settings.LANE_STEP_S)
         for lane, errors in enumerate(gains):
             for sensor, (error, wider) in enumerate(errors):
                 sd = (0.01, 0.1)[sensor] * wider
-                choice.compare(lane, sensor, second * STEP_S, [error * sd], [sd**2])
+                choice.compare(lane, sensor, second * fault_settings.LANE_STEP_S, [error * sd], [sd**2])
     choice.decide_until(seconds)
     return choice
 
@@ -141,9 +142,9 @@ def test_an_outlier_that_nobody_foretold_counts_for_nobody():
 def test_a_lane_that_says_nothing_is_short_of_all_that_was_foretold():
     sensors = {"depth": nf.Depth(error=nf.White(sd=0.1))}
     choice = LaneChoice([True, True], sensors, 0.0)
-    for k in range(round(2.0 * MARGIN / FULL)):
-        choice.compare(1, 0, k * STEP_S, [0.0], [0.01])
-        choice.decide_until((k + 1.5) * STEP_S)
+    for k in range(round(2.0 * fault_settings.LANE_MARGIN / FULL)):
+        choice.compare(1, 0, k * fault_settings.LANE_STEP_S, [0.0], [0.01])
+        choice.decide_until((k + 1.5) * fault_settings.LANE_STEP_S)
     assert choice.memory.lane == 1 and choice.due_restarts() == [0]
 
 
@@ -157,12 +158,14 @@ def test_looking_at_the_parts_of_the_minute_only_where_it_matters_changes_nothin
         for k in range(600):
             if not bounded:
                 choice.memory.ahead[:] = math.inf
-            changes += choice.decide_until((k + 0.5) * STEP_S)
+            changes += choice.decide_until((k + 0.5) * fault_settings.LANE_STEP_S)
             bad = (k // 120) % 3
             for lane in range(3):
                 for sensor, sd in enumerate((0.01, 0.1)):
                     error = rng.normal() * sd * (4.0 if lane == bad else 1.0)
-                    choice.compare(lane, sensor, k * STEP_S, [error], [(sd * (3.0 if lane == 2 else 1.0)) ** 2])
+                    choice.compare(
+                        lane, sensor, k * fault_settings.LANE_STEP_S, [error], [(sd * (3.0 if lane == 2 else 1.0)) ** 2]
+                    )
             for lane in choice.due_restarts() if k % 100 == 99 else []:
                 choice.on_restart(lane)
         found.append(changes)

@@ -7,7 +7,8 @@ import pytest
 from test_lanes import changed, fed, swapped, vehicle_of
 
 import navfilter as nf
-from navfilter.faults.lane_selection import MARGIN, STEP_S, LaneChoice
+from navfilter.faults import settings as fault_settings
+from navfilter.faults.lane_selection import LaneChoice
 from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation.lanes.replay import LaneReplay
@@ -28,12 +29,12 @@ def heard(gains, carried, seconds=20.0):
     """
     sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
     choice = LaneChoice([True] * len(gains), sensors, 0.0)
-    for k in range(round(seconds / STEP_S)):
-        choice.decide_until((k + 0.5) * STEP_S)
+    for k in range(round(seconds / fault_settings.LANE_STEP_S)):
+        choice.decide_until((k + 0.5) * fault_settings.LANE_STEP_S)
         for lane, told in enumerate(gains):
             for sensor, (error, wider) in enumerate(told):
                 sd = (0.01, 0.1)[sensor] * wider
-                choice.compare(lane, sensor, k * STEP_S, [error * sd], [sd**2], carried[lane])
+                choice.compare(lane, sensor, k * fault_settings.LANE_STEP_S, [error * sd], [sd**2], carried[lane])
     choice.decide_until(seconds)
     return choice
 
@@ -62,7 +63,7 @@ def test_a_lane_that_foretells_better_is_not_doubted():
     modest, wrong, sure = (0.0, 16.0), (3.5, 2.0), (1.9, 1.0)
     choice = heard([[modest, modest], [sure, sure]], [False, False], 6.0)
     short = choice.memory.ring[..., 1].sum(axis=(0, 2))
-    assert short[1] - short[0] > MARGIN and not choice.memory.doubted.any()
+    assert short[1] - short[0] > fault_settings.LANE_MARGIN and not choice.memory.doubted.any()
     assert heard([[modest, modest], [wrong, wrong]], [False, False], 6.0).memory.doubted.tolist() == [0.0, 1.0]
 
 

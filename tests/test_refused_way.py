@@ -13,6 +13,7 @@ from feeding import DRIVE, events_of, once_a_second
 
 import navfilter as nf
 from navfilter.faults import alternative_path, innovation_gate
+from navfilter.faults import settings as fault_settings
 from navfilter.faults.alternative_path import AlternativePath, believable, followed, since_fix, with_rejected
 from navfilter.faults.imu import acceleration
 from navfilter.faults.refusals import RejectionRun
@@ -213,7 +214,7 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
     assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[[0, 3]]) == pytest.approx([100.0, 10.0])
     channels["compass"].faults.agreed_s = 50.0  # nor is it asked of the heading then
     assert np.sqrt(innovation_gate.reset_variance(channels.values(), 100.0)[6:]) == pytest.approx(
-        innovation_gate.OPEN_ATTITUDE
+        fault_settings.OPEN_ATTITUDE
     )
     channels["gps"].faults.rejected_since_s = 92.0
     assert not innovation_gate.state_contradicted(channels.values(), 100.0)

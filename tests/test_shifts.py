@@ -11,6 +11,7 @@ from kernel_inputs import assert_close, run_both
 from test_agreement import altered, feed, fly
 
 import navfilter as nf
+from navfilter.faults import settings as fault_settings
 from navfilter.faults.imu import bias_drift
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import bias_drift as kernels
@@ -93,7 +94,7 @@ def test_an_estimate_may_move_by_what_it_has_learnt():
     (axis, row, size), *others = bias_drift.shifted(table, now, walk, begin)
     # three quarters of the variance are gone: so is as much of a shift
     assert not others and (axis, row) == (1, 0)
-    assert size == pytest.approx(bias_drift.OPENED * now[bias_drift.BIAS + 1] / 0.75)
+    assert size == pytest.approx(fault_settings.DRIFT_OPENED * now[bias_drift.BIAS + 1] / 0.75)
     # a walk, or a bias that was hardly known at the start, may move further
     assert not bias_drift.shifted(table, now, np.full(3, 0.1), begin)
     assert not bias_drift.shifted(table, now, walk, np.full(3, 100.0))
@@ -197,7 +198,7 @@ def test_a_deviation_is_no_ramp(name, seed):
     def shifted(time_s):
         return deviation(time_s) - 1e-3 * np.maximum(time_s - time_s[4], 0.0)
 
-    assert ramp(heading, deviation, seed=seed)[1] ** 2 < bias_drift.BEYOND
+    assert ramp(heading, deviation, seed=seed)[1] ** 2 < fault_settings.BEYOND
     if name != "half a turn":  # there nobody can tell
         slope, sds = ramp(heading, shifted, seed=seed)
-        assert slope == pytest.approx(-1e-3, rel=0.3) and sds**2 > bias_drift.BEYOND
+        assert slope == pytest.approx(-1e-3, rel=0.3) and sds**2 > fault_settings.BEYOND

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors import Sensor
@@ -13,9 +14,6 @@ from navfilter.models.sensors.observable import Observable
 __all__ = ["are_carried", "reckoned", "wander"]
 
 Array = NDArray[np.float64]
-#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
-#: as the square of the time, and the gauge is right.
-CARRIED_S = 5.0
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 
@@ -56,4 +54,4 @@ def _lasting(P: Array, drive_output: Array) -> Array:
 def are_carried(filter: FilterState, time_s: float) -> bool:
     """Whether a velocity carries height and position at this time [s]."""
     used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.faults.set_aside)
-    return not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S
+    return not filter.inertial or time_s - max(used, default=-np.inf) < settings.CARRIED_S

@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import ground_velocity
+from navfilter.faults import ground_velocity, settings
 from navfilter.filter.actions import Action, Inflate, MovePosition
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors.observable import Observable
 
 __all__ = [
-    "SPEAKS_S",
     "AlternativePath",
     "believable",
     "followed",
@@ -35,16 +34,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-#: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
-MOST_SPEED, FASTER = 3.0, 2.0
-#: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
-#: state is no longer a metre north of them.
-REACH_M = 1e5
-#: A reading speaks for so long at most [s]: after a longer silence nobody knows what the sensor would have said.
-SPEAKS_S = 1.0
-#: The way of the refused readings is known to this share of itself beside the heading's error [1]: what lies between
-#: them, and the reading or two before the gate closed.
-SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -69,7 +58,7 @@ class AlternativePath:
 
 def most_speed(speed: Array | float, stated: float | None) -> Array | float:
     """What a vehicle can do at most [m/s], as stated, or as far as its present speed says."""
-    return stated or np.maximum(MOST_SPEED, np.multiply(FASTER, speed))
+    return stated or np.maximum(settings.MOST_SPEED, np.multiply(settings.FASTER, speed))
 
 
 def out_of_reach(filter: FilterState, channel: Channel, time_s: float) -> bool:
@@ -90,7 +79,7 @@ def out_of_reach(filter: FilterState, channel: Channel, time_s: float) -> bool:
     north, east = filter.start.way_to(*filter.memory.nav[:2].tolist())
     off = [0.0 if math.isnan(residual) else residual for residual in channel.res[:2].tolist()]
     most = float(most_speed(channel.faults.refused_speed, filter.vehicle.drive.max_speed_m_s))
-    return math.hypot(north + off[0], east + off[1]) > REACH_M + most * (time_s - filter.start.time_s)
+    return math.hypot(north + off[0], east + off[1]) > settings.REACH_M + most * (time_s - filter.start.time_s)
 
 
 def believable(residual: Array, speed: Array | float, stated: float | None) -> NDArray[np.bool_]:
@@ -140,7 +129,7 @@ def with_rejected(filter: FilterState, channel: Channel, time_s: float) -> Alter
     way, speed = since_fix(filter, channel), math.hypot(*filter.memory.nav[3:6].tolist())
     residual = ground_velocity.components(channel, full_residual(filter, channel))
     # one that is refused alone is an outlier
-    dt = min(time_s - max(way.time_s, channel.faults.rejected_since_s), SPEAKS_S)
+    dt = min(time_s - max(way.time_s, channel.faults.rejected_since_s), settings.SPEAKS_S)
     if dt > 0.0 and believable(residual, speed, filter.vehicle.drive.max_speed_m_s):
         seen = np.isfinite(residual)
         A = ground_velocity.as_velocity(channel, seen)
@@ -183,4 +172,4 @@ def follows(filter: FilterState, channel: Channel) -> Array:
     turned = np.array([-way.east, way.north]) * math.sqrt(min(filter.memory.P[8, 8], 1.0))
     if channel.faults.way is not None:
         channel.faults.way = replace(way, north=0.0, east=0.0)
-    return SHARE**2 * (way.north**2 + way.east**2) * np.eye(2) + np.outer(turned, turned)
+    return settings.PATH_SHARE**2 * (way.north**2 + way.east**2) * np.eye(2) + np.outer(turned, turned)

@@ -16,6 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.protection_level import IN_PLANE
 from navfilter.faults.refusals import RejectionRun
 from navfilter.filter.channel_model import MOST_SDS
@@ -25,14 +26,6 @@ from navfilter.models.sensors.observable import Observable
 __all__ = ["beside", "excused", "pulled", "reckoned_since", "reckoned_wrongly"]
 
 Array = NDArray[np.float64]
-#: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
-#: fixes off in earnest is faster, or takes longer than the gate waits.
-SHARE = 0.1
-#: At rest it may err by what it may at this speed [m/s]: a constant of the velocity has no less to say then.
-USUAL_SPEED = 1.5
-#: The position was pulled off by so many times the estimate at most [1]: an error that takes less than a tenth of what
-#: fixes say, beside the position, has not come to be so large by that.
-MOST_PULLED = 10.0
 
 
 def reckoned_wrongly(channel: Channel, speed: float) -> float:
@@ -69,7 +62,7 @@ def reckoned_since(channel: Channel, refused: RejectionRun, speed: float) -> flo
 
 
 def _may_err(speed: float, seconds: float) -> float:
-    return SHARE * max(speed, USUAL_SPEED) * seconds
+    return settings.BIAS_SHARE * max(speed, settings.USUAL_SPEED) * seconds
 
 
 def beside(channel: Channel, x: Array) -> float:
@@ -88,7 +81,7 @@ def excused(channel: Channel) -> bool:
         As the refused reading left it.
     """
     astray_m = channel.faults.astray_m  # NaN where they are not
-    return astray_m >= 0.0 and math.hypot(*np.nan_to_num(channel.res).tolist()) <= SHARE * astray_m
+    return astray_m >= 0.0 and math.hypot(*np.nan_to_num(channel.res).tolist()) <= settings.BIAS_SHARE * astray_m
 
 
 def pulled(channel: Channel, x: Array) -> Array:
@@ -100,5 +93,5 @@ def pulled(channel: Channel, x: Array) -> Array:
     states = slice(channel.group.start, channel.group.start + channel.group.errors)
     own = np.einsum("ij,ij->i", channel.C, channel.PH[:, states])
     position = np.abs(np.diag(channel.PH[:, :3]))
-    ratio = position / np.maximum(np.maximum(own, position / MOST_PULLED), 1e-300)
+    ratio = position / np.maximum(np.maximum(own, position / settings.MOST_PULLED), 1e-300)
     return np.asarray(np.abs(channel.coloured_error(x)) * ratio)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.heading_fault import TrackRotationFit, direction, of_one_way, rather_drawn, seen_turned
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, MoveError, Transform
 from navfilter.filter.filter_memory import FilterMemory
@@ -29,12 +30,6 @@ from navfilter.models.sensors.velocity import FLOWS_M_S
 __all__ = ["DeadReckoningComparison", "opened_velocity", "replace_compass", "take_up"]
 
 Array = NDArray[np.float64]
-#: Refused fixes that come so long after each other are not of one way [s].
-APART_S = 60.0
-#: A velocity sensor has been used so lately at most [s].
-RECENT_S = 5.0
-#: A speed below this tells no share of it [m/s].
-SLOW = 0.1
 #: Of the drive's three angles.
 YAW = 2
 
@@ -83,7 +78,7 @@ def replace_compass(filter: FilterState, fixes: Channel, time_s: float) -> Actio
     latitude = float(nav[0] + fixes.res[0] / nav[15])
     longitude = float(nav[1] + fixes.res[1] / (nav[16] * math.cos(nav[0])))
     before = kept.reckoned
-    if before is None or time_s - before.last_s > APART_S:
+    if before is None or time_s - before.last_s > settings.APART_S:
         before = _from_here(latitude, longitude, way, time_s)
     made = way - (before.north, before.east)
     fixed = np.array([(latitude - before.latitude) * nav[15], 0.0])
@@ -119,13 +114,13 @@ def _flows(memory: FilterMemory) -> float:
     """Square of the current, as a share of that of the speed: beside a wrong heading it has been estimated wrongly."""
     place, v = int(memory.drv[strapdown.CURRENT]), memory.nav[3:5]
     current = memory.x[place : place + 2] if place >= 0 else np.zeros(2)
-    return float(current @ current) / max(float(v @ v), SLOW**2)
+    return float(current @ current) / max(float(v @ v), settings.COMPASS_SLOW**2)
 
 
 def _faster(memory: FilterMemory) -> float:
     """Variance of the speed, as a share of its square."""
     v = memory.nav[3:5]
-    return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), SLOW**2) ** 2
+    return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), settings.COMPASS_SLOW**2) ** 2
 
 
 def _begin(before: DeadReckoningComparison) -> tuple[float, float, float, float]:
@@ -163,7 +158,9 @@ def opened_velocity(filter: FilterState, size: float, speed: float) -> Change | 
         return None if has_offset(models) else Change("velocity", with_offsets(models, size), offsets=True)
     now_s = filter.memory.time_s
     for channel in filter.channels.values():
-        used = now_s - channel.memory.used_s < RECENT_S and channel.sensor.observes.corrects == "velocity"
+        used = (
+            now_s - channel.memory.used_s < settings.COMPASS_RECENT_S and channel.sensor.observes.corrects == "velocity"
+        )
         if used and channel.sensor.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
     return None

@@ -20,7 +20,6 @@ import numpy as np
 
 from navfilter.faults import settings
 from navfilter.faults.allowed_change import are_carried
-from navfilter.faults.protection_level import CONFIRMED_S
 from navfilter.faults.sensor_bias import offset_places
 from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
@@ -33,11 +32,6 @@ __all__ = ["are_told", "open_both", "undecided"]
 
 #: Of the height among the navigation states.
 DOWN = 2
-#: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives.
-CARRIED_M_S = 0.1
-#: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
-#: readings happened to look alike.
-GROWN = 2.0
 
 
 def are_told(filter: FilterState, gauge: Channel, time_s: float) -> bool:
@@ -69,7 +63,7 @@ def may_be_right(filter: FilterState, gauge: Channel, time_s: float) -> bool:
         (other.note[2 + other.axes] - other.near[-1, DOWN] * wrong) ** 2 / other.note[2 + 2 * other.axes]
         for other in others
     ]
-    known = filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2
+    known = filter.memory.P[DOWN + 3, DOWN + 3] < settings.CARRIED_M_S**2
     return bool(others) and known and max(squares) <= float(gauge.limits[1])
 
 
@@ -86,16 +80,16 @@ def undecided(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """
     if channel.sensor.observes is not Observable.HEIGHT:
         return False
-    if not filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2:
+    if not filter.memory.P[DOWN + 3, DOWN + 3] < settings.CARRIED_M_S**2:
         return False
     if channel.faults.either:
         return True
     states = offset_states(channel.sensor.models, channel.period_s)
     if len(states):
         whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
-        if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
+        if not whole**2 > settings.DEPTH_GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
-    return channel.memory.used_s - channel.faults.agreed_s >= CONFIRMED_S and are_told(filter, channel, time_s)
+    return channel.memory.used_s - channel.faults.agreed_s >= settings.CONFIRMED_S and are_told(filter, channel, time_s)
 
 
 def open_both(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:

@@ -42,22 +42,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-#: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
-#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
-#: the speed, is then less than a velocity sensor errs by).
-SURE, KNOWN_RAD = 5.0, 0.07
-#: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
-SCALE = 0.05
-#: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the first
-#: they have made it, beyond the second not.
-FITS, MISSES = 2.0, 4.0
-#: A velocity sensor has been used so lately at most [s].
-RECENT_S = 5.0
-#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
-#: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
-DRAWN_RAD = math.radians(15.0)
-#: What it leaves of the speed, in standard deviations [1].
-SAME_SPEED = 2.0
 
 
 @dataclass(frozen=True)
@@ -131,7 +115,7 @@ def against_the_compass(filter: FilterState, fixes: Channel, course: TrackRotati
         Now [s].
     """
     channels = filter.channels.values()
-    recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
+    recent = [c for c in channels if time_s - c.memory.used_s < settings.HEADING_RECENT_S]
     compasses = [c for c in recent if c.sensor.observes.corrects == "heading"]
     moving = any(_reckons(c) for c in recent)
     if course.count < 3 or not moving or len(compasses) > 1:
@@ -144,7 +128,7 @@ def against_the_compass(filter: FilterState, fixes: Channel, course: TrackRotati
     if compass.sensor.observes.north is None:
         return None
     told = math.radians(filter.start.heading_sd_deg)
-    believed = lambda angle, speed: not compass.faults.alone and abs(angle) > SURE * told  # noqa: E731
+    believed = lambda angle, speed: not compass.faults.alone and abs(angle) > settings.SURE * told  # noqa: E731
     turn = seen_turned(course, fixes, direction(filter), believed)
     if turn is None:
         return None
@@ -189,17 +173,23 @@ def seen_turned(
     variance = noise / (6.0 * max(size, 1e-300))
     sd, faster = math.sqrt(variance + direction), math.sqrt(variance + share)
     chance = math.sqrt(variance + direction + heading)
-    if sd > KNOWN_RAD or abs(angle) < SURE * chance or abs(ratio - 1.0) > SURE * faster + SCALE:
+    if (
+        sd > settings.KNOWN_RAD
+        or abs(angle) < settings.SURE * chance
+        or abs(ratio - 1.0) > settings.SURE * faster + settings.SCALE
+    ):
         return None
-    speed, noise = max(0.0, abs(ratio - 1.0) - SCALE) / faster, noise + share * size
-    if beside_turned > FITS**2 * noise or (believed(angle, speed) and beside_drawn < MISSES**2 * noise):
+    speed, noise = max(0.0, abs(ratio - 1.0) - settings.SCALE) / faster, noise + share * size
+    if beside_turned > settings.FITS**2 * noise or (
+        believed(angle, speed) and beside_drawn < settings.MISSES**2 * noise
+    ):
         return None
     return angle, variance + direction
 
 
 def rather_drawn(angle: float, speed: float) -> bool:
     """Whether fixes are rather drawn off than a heading is turned by an angle, and a speed off by so many sd."""
-    return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
+    return abs(angle) < settings.DRAWN_RAD or speed > settings.SAME_SPEED
 
 
 def of_one_way(
@@ -213,7 +203,7 @@ def of_one_way(
         return True
     angle, size, _, turned, drawn = course.fitted()
     noise = _noise(fixes) + share * size
-    return turned < FITS**2 * noise or (believed(angle, 0.0) and drawn < MISSES**2 * noise)
+    return turned < settings.FITS**2 * noise or (believed(angle, 0.0) and drawn < settings.MISSES**2 * noise)
 
 
 def _reckons(channel: Channel) -> bool:
@@ -266,15 +256,15 @@ def _confirmed(filter: FilterState, compass: Channel) -> bool:
     the heading.
     """
     now_s, far_m = filter.memory.time_s, led_astray(compass, filter.memory.nav)
-    recent = [c for c in filter.channels.values() if now_s - c.memory.used_s < RECENT_S]
+    recent = [c for c in filter.channels.values() if now_s - c.memory.used_s < settings.HEADING_RECENT_S]
     if filter.inertial and not any(_reckons(c) for c in recent):
         return False
     for fixes in filter.channels.values():
         kept = fixes.faults
-        calm = kept.refused is None and not kept.astray and now_s - fixes.memory.used_s < RECENT_S
+        calm = kept.refused is None and not kept.astray and now_s - fixes.memory.used_s < settings.HEADING_RECENT_S
         if fixes.sensor.observes.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
             sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
-            if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
+            if far_m > 2.0 * settings.SURE * math.sqrt(2.0) * sd:
                 return True
     return False
 
@@ -356,9 +346,6 @@ def turned_by_fixes(filter: FilterState, angle: float, variance: float) -> Itera
 # stuck near a value, or counts in another unit, follows no turn at all: a slope of -1 fits that, and it would tell that
 # the vehicle does not turn, while the biases of the gyros take what it does.
 
-#: A deviation that changes with the heading by more than this, at so many of its standard deviations [1].
-SLOPE, SURE = 0.5, 3.0
-
 
 def drop_contradicted_offset(filter: FilterState, channel: Channel, time_s: float) -> None:
     """After a reading of this time has been used: take the constants of a compass that does not follow the vehicle's
@@ -368,7 +355,7 @@ def drop_contradicted_offset(filter: FilterState, channel: Channel, time_s: floa
     if not channel.offset or channel.sensor.observes.north is None or time_s - kept.jumped_s < settings.SPAN_S:
         return
     slope, sd = _slope(filter, channel)
-    if abs(slope) - SURE * sd > SLOPE:
+    if abs(slope) - settings.IRON_SURE * sd > settings.IRON_SLOPE:
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
         # what it has read since it jumped was no heading
         kept.refused, kept.rejected_since_s, kept.disputed_s = None, kept.jumped_s, time_s

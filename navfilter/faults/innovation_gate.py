@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.models.sensors.observable import Observable
@@ -21,26 +22,8 @@ __all__ = ["Widening", "reset_variance", "state_contradicted", "whole_heading", 
 
 Array = NDArray[np.float64]
 
-#: What may be wrong with a state that all sensors contradict: roll, pitch and heading [rad]; and beside the largest
-#: residual, position [m] and velocity [m/s].
-OPEN_ATTITUDE, OPEN_MOTION = np.array([0.1, 0.1, 1.0]), np.repeat([10.0, 2.0], 3)
-#: Fixes that are off by more are of another coordinate system [m], a velocity is in another unit [m/s], a depth is no
-#: depth of any sea [m].
-MOST_OFF = {"position": 1e5, "velocity": 20.0, "depth": 1.2e4}
-#: What together knows where the vehicle is and how it moves, and how far off it says that the state is at least [m],
-#: [m/s]: a slow vehicle's wrong clock or lever arm makes less of a turn.
-MOTION = {"position": 0.0, "velocity": 2.0}
 #: What tells a place, or a height.
 PLACE = ("position", "depth")
-#: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
-MOTION_S = 10.0
-#: Where nothing else tells how the vehicle moves, fixes that are refused contradict the state in the same time, once
-#: they are off by so many times what the first of them was [1]: they have not jumped, it has gone away from them.
-GROWN = 3.0
-#: A sensor counts as heard for so long after its last reading [s], and for so many of its periods.
-HEARD_S, HEARD_PERIODS = 5.0, 3.0
-#: The gate of a sensor that is astray widens so many times later [1]: it was believed until it was beyond belief.
-PATIENT = 5.0
 
 
 def state_contradicted(channels: Collection[Channel], time_s: float, inertial: bool = True) -> bool:
@@ -64,11 +47,13 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
     alone = False
     for other in channels:
         memory, sensor = other.faults, other.sensor
-        heard = time_s - other.memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
+        heard = time_s - other.memory.last_s < max(settings.GATE_HEARD_S, settings.HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
-        if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
+        if heard and refused_s > min(settings.MOTION_S, 0.5 * sensor.gate_timeout_s):
             motion |= (
-                {sensor.observes.corrects} if _off(other) > MOTION.get(sensor.observes.corrects, math.inf) else set()
+                {sensor.observes.corrects}
+                if _off(other) > settings.MOTION.get(sensor.observes.corrects, math.inf)
+                else set()
             )
             alone |= _goes_away(other)
         present |= {sensor.observes.corrects} if heard else set()
@@ -76,8 +61,8 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
             against.append(sensor.observes.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
             for_it.append(sensor.observes.corrects)
-    against_motion = motion == MOTION.keys() or (alone and "velocity" not in present)
-    gone = against_motion and not MOTION.keys() & set(for_it)
+    against_motion = motion == settings.MOTION.keys() or (alone and "velocity" not in present)
+    gone = against_motion and not settings.MOTION.keys() & set(for_it)
     return gone or (len(against) > 1 and not for_it) or _place_contradicted(channels, time_s)
 
 
@@ -88,7 +73,7 @@ def _place_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     refused = []
     for channel in channels:
         memory, sensor = channel.faults, channel.sensor
-        heard = time_s - channel.memory.last_s < max(HEARD_S, HEARD_PERIODS * channel.period_s)
+        heard = time_s - channel.memory.last_s < max(settings.GATE_HEARD_S, settings.HEARD_PERIODS * channel.period_s)
         if heard and sensor.observes.corrects in PLACE:
             refused.append(time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s and _off(channel) > 0.0)
     return len(refused) > 1 and all(refused)
@@ -114,18 +99,18 @@ def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
         if not math.isnan(since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
             largest = np.maximum(largest, np.where(seen, _off(channel), 0.0))
-            attitude = OPEN_ATTITUDE
+            attitude = settings.OPEN_ATTITUDE
             if _goes_away(channel):
                 # what grows as the square of the time
                 span_s = max(time_s - since_s, channel.period_s)
                 largest[3:] = np.maximum(largest[3:], 2.0 * _off(channel) / span_s)
                 # a tilt that has not done more has not been larger
                 tilt = 2.0 * _off(channel) / (ROUND_GRAVITY * span_s**2)
-                attitude = np.minimum([tilt, tilt, 0.0 if "heading" in agree else math.inf], OPEN_ATTITUDE)
+                attitude = np.minimum([tilt, tilt, 0.0 if "heading" in agree else math.inf], settings.OPEN_ATTITUDE)
             opened = np.maximum(opened, attitude)
     if {"heading", "velocity"} <= agree:
         opened[:] = 0.0
-    spread = np.concatenate([largest + OPEN_MOTION, opened])
+    spread = np.concatenate([largest + settings.OPEN_MOTION, opened])
     return np.asarray(spread**2)
 
 
@@ -134,13 +119,13 @@ def _goes_away(channel: Channel) -> bool:
     refused = channel.faults.refused
     if channel.dive_s == math.inf or refused is None:
         return False
-    return _off(channel) > GROWN * float(np.nanmax(np.abs(refused.first), initial=0.0))
+    return _off(channel) > settings.GATE_GROWN * float(np.nanmax(np.abs(refused.first), initial=0.0))
 
 
 def _off(channel: Channel) -> float:
     """Largest residual of the last reading; 0 where that says nothing of the state."""
     largest = float(np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0))
-    return largest if largest <= MOST_OFF.get(channel.sensor.observes.corrects, math.inf) else 0.0
+    return largest if largest <= settings.MOST_OFF.get(channel.sensor.observes.corrects, math.inf) else 0.0
 
 
 class Widening(NamedTuple):
@@ -184,7 +169,7 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     make it believe in any attitude.
     """
     limit = channel.limits[dof]
-    patience_s = channel.sensor.gate_timeout_s * (PATIENT if channel.faults.astray else 1.0)
+    patience_s = channel.sensor.gate_timeout_s * (settings.PATIENT if channel.faults.astray else 1.0)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
     if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
         return None

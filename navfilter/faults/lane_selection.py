@@ -17,45 +17,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.models.mechanisation import Imu
 from navfilter.models.sensors import Sensor
 
-__all__ = ["STEP_S", "LaneChoice", "LaneChoiceMemory"]
+__all__ = ["LaneChoice", "LaneChoiceMemory"]
 
 Array = NDArray[np.float64]
-#: Lanes are compared so often [s]: short beside what a wrong unit does to a position.
-STEP_S = 0.25
-#: Over so long a time [s].
-WINDOW_S = 60.0
-STEPS = round(WINDOW_S / STEP_S)
-#: A component is an outlier in so many of one [1], anywhere within so many standard deviations of its sensor [1].
-OUTLIERS, SPAN = 0.01, 100.0
-RATIO = (1.0 - OUTLIERS) / OUTLIERS * SPAN / math.sqrt(2.0 * math.pi)
+STEPS = round(settings.WINDOW_S / settings.LANE_STEP_S)
+RATIO = (1.0 - settings.OUTLIERS) / settings.OUTLIERS * settings.SPAN / math.sqrt(2.0 * math.pi)
 #: What a component gains at most that has been foretold as surely as its sensor errs.
 FULL = math.log1p(RATIO)
-#: Another lane is taken when it has gained so much more [nat]: two sound units of one kind differ by less than 10 in a
-#: minute, a frozen one loses 100 in a second.
-MARGIN = 50.0
-#: The lane without an inertial unit follows whatever sensor errs, while units contradict it. So two sensors must speak
-#: for it, each by so much [nat]: odds of 20,000.
-SECOND = 10.0
-#: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
-#: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again.
-#: The other lane has to follow it: of what contradicts the unit, this share may contradict that lane too [1]. Readings
-#: in another unit of measurement contradict both, though the lane follows what of them is not beyond belief.
-ALONE, SHARE, FOLLOWS = 900.0, 0.3, 0.1
-#: Or a unit runs away from a velocity. A sensor that has jumped contradicts it by as much for as long as it does; by
-#: what a unit feels wrong, it moves off further with each reading. A component contradicts beyond this NIS [1] (6e-7 of
-#: the good ones do). Over at least so long [s] it has moved off by more than this many standard deviations [1] of what
-#: the vehicle may do unseen (`navfilter.Imu.gap_force_sd`, as a random walk of its velocity), by more than it was off
-#: at first, and so many times [1] as far as from any reading to the next: noise does not lead away.
-CONTRADICTS, AWAY_S, AWAY_SD, LEADS = 25.0, 1.0, 3.0, 2.0
-#: A sensor that has said nothing for so long no longer contradicts [s].
-STALE_S = 2.0
 #: A lane that has begun anew is not taken before so many seconds [s]: what was wrong shows within the window.
-PROBATION_S = WINDOW_S
+PROBATION_S = settings.WINDOW_S
 #: One in so many comparisons is kept for a report: one a second.
-HISTORY = round(1.0 / STEP_S)
+HISTORY = round(1.0 / settings.LANE_STEP_S)
 #: A NIS counts at most so much [1]: its exponential is zero long before.
 LARGE = 1400.0
 #: Columns of what is gathered: gain, what was to be gained more, components judged, their NIS.
@@ -141,7 +117,7 @@ class LaneChoice:
         away = len(inertial), len(self._velocity), FIRST + 2 * self._axes
         self.memory = LaneChoiceMemory(
             lane=0,
-            step=math.floor(start_s / STEP_S),
+            step=math.floor(start_s / settings.LANE_STEP_S),
             gathered=np.zeros(shape),
             ring=np.zeros((STEPS, *shape)),
             begun=np.full(len(inertial), -math.inf),
@@ -155,7 +131,7 @@ class LaneChoice:
     @property
     def compared_s(self) -> float:
         """Time of the last comparison [s]: what was read until then took part in it."""
-        return self.memory.step * STEP_S
+        return self.memory.step * settings.LANE_STEP_S
 
     @property
     def reason(self) -> str:
@@ -166,7 +142,7 @@ class LaneChoice:
             return f"the lane before ran away from {self.names[sensor]}, by {moved[sensor]:.1f} m/s"
         if against.any():
             return f"{self.names[int(np.argmax(against))]} went on to contradict the lane before"
-        if gain.sum() <= MARGIN:
+        if gain.sum() <= settings.LANE_MARGIN:
             return "something stood in for the unit of the lane before" if self.memory.why.any() else ""
         told = [f"{self.names[i]} by {gain[i]:.0f} nat" for i in np.argsort(-gain).tolist() if gain[i] >= 1.0]
         return f"it foretold better: {', '.join(told)}" if told else ""
@@ -197,7 +173,7 @@ class LaneChoice:
 
     def _contradict(self, away: Array, time_s: float, residual: Sequence[float], nis: float) -> None:
         """Note how far a velocity contradicts a lane."""
-        if nis <= CONTRADICTS:
+        if nis <= settings.CONTRADICTS:
             away[SINCE] = math.nan
             return
         off = np.zeros(self._axes)
@@ -212,8 +188,8 @@ class LaneChoice:
         """Compare the lanes as often as is due before a time, or up to it (`behind`): from when [s] which is chosen,
         and why.
         """
-        last = math.floor(until_s / STEP_S)
-        last -= not behind and last * STEP_S == until_s
+        last = math.floor(until_s / settings.LANE_STEP_S)
+        last -= not behind and last * settings.LANE_STEP_S == until_s
         changes = []
         while self.memory.step < last:
             if self._decide():
@@ -234,21 +210,21 @@ class LaneChoice:
         missed = self._missed()
         short = missed.sum(axis=1)
         gained = memory.ring[..., GAIN].sum(axis=(0, 2))
-        memory.doubted[self._inertial & (short - short[now] > MARGIN) & (gained < gained[now])] = 1.0
+        memory.doubted[self._inertial & (short - short[now] > settings.LANE_MARGIN) & (gained < gained[now])] = 1.0
         memory.ahead = np.maximum(memory.ahead + newest - newest[now], 0.0)
-        calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > ALONE).any()
+        calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > settings.ALONE).any()
         calm &= memory.carried[now] == 0.0
-        if calm and not (memory.ahead > MARGIN).any():
+        if calm and not (memory.ahead > settings.LANE_MARGIN).any():
             return False
         newest_first = (memory.step - np.arange(STEPS)) % STEPS
         gains = np.cumsum(memory.ring[newest_first, :, :, GAIN], axis=0)
         more = gains.sum(axis=2)
         more -= more[:, now : now + 1]
         memory.ahead = np.maximum(more.max(axis=0), 0.0)
-        sound = (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / STEP_S)
+        sound = (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / settings.LANE_STEP_S)
         # a unit that is stood in for follows the sensors as the lane without one does, and is taken as that is
         felt = self._inertial & (memory.carried == 0.0)
-        better = (more > MARGIN).any(axis=0)
+        better = (more > settings.LANE_MARGIN).any(axis=0)
         if memory.carried[now]:  # what is lost without a unit, no reading need tell: one that feels is worth more
             better |= more[-1] > 0.0
         ready = felt & sound & better
@@ -256,7 +232,7 @@ class LaneChoice:
         span, beside = int(np.argmax(more[:, best])), np.zeros((2, len(self.names)))
         for lane in np.flatnonzero(~felt & (sound | ~self._inertial)).tolist():
             each = gains[:, lane] - gains[:, best]
-            both = (each.sum(axis=1) > MARGIN) & ((each > SECOND).sum(axis=1) > 1)
+            both = (each.sum(axis=1) > settings.LANE_MARGIN) & ((each > settings.SECOND).sum(axis=1) > 1)
             single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)])
             if both.any() or single.any():
                 best, beside = lane, single * (not both.any())
@@ -277,9 +253,9 @@ class LaneChoice:
         moved, first = self._moved(lane)
         for i, mine in enumerate(self.memory.away[lane]):
             lasted_s = mine[UNTIL] - mine[SINCE]
-            if lasted_s >= AWAY_S and self.compared_s - mine[UNTIL] < STALE_S and follows[i]:
-                may = AWAY_SD * self._force_sd * math.sqrt(lasted_s)
-                if moved[i] > max(may, first[i], LEADS * mine[LARGEST]):
+            if lasted_s >= settings.AWAY_S and self.compared_s - mine[UNTIL] < settings.STALE_S and follows[i]:
+                may = settings.AWAY_SD * self._force_sd * math.sqrt(lasted_s)
+                if moved[i] > max(may, first[i], settings.LEADS * mine[LARGEST]):
                     found[self._velocity[i]] = moved[i]
         return found
 
@@ -296,8 +272,8 @@ class LaneChoice:
         most = self.memory.ring[:, :, self._velocity, JUDGED].sum(axis=0).max(axis=0)
         more, found = (missed[lane] - missed[other])[self._velocity], np.zeros(len(self.names))
         moved, first = self._moved(lane)
-        follows = missed[other] < FOLLOWS * missed[lane]
-        sure = (more > ALONE) & (more > SHARE * FULL * most) & follows[self._velocity]
+        follows = missed[other] < settings.FOLLOWS * missed[lane]
+        sure = (more > settings.ALONE) & (more > settings.LANE_SHARE * FULL * most) & follows[self._velocity]
         found[self._velocity] = np.where(sure & ~(first > moved), more, 0.0)
         return found
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.alternative_path import AlternativePath
 from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
 from navfilter.faults.imu import bias_drift
@@ -22,8 +23,6 @@ from navfilter.kernels import imu_checks
 __all__ = ["MonitorMemory", "SensorFaults"]
 
 Array = NDArray[np.float64]
-#: A sensor that has been refused for so long, and then used again, was wrong itself [s].
-DISPUTED_S = 3.0
 
 
 @dataclass
@@ -137,7 +136,7 @@ class SensorFaults:
 
     def use(self, time_s: float) -> None:
         """Note that a reading of this time has been used."""
-        if time_s - self.rejected_since_s >= DISPUTED_S:
+        if time_s - self.rejected_since_s >= settings.SENSOR_DISPUTED_S:
             self.disputed_s = time_s
         self.rejected_since_s, self.refused, self.astray_m = math.nan, None, math.nan
         self.partly_since_s = math.nan

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults import noise_scale, policy, sensor_bias, velocity_fault
+from navfilter.faults import noise_scale, policy, sensor_bias, settings, velocity_fault
 from navfilter.faults.imu import bias_drift, realignment
 from navfilter.faults.imu.bias_glr import BiasJumpGlr
 from navfilter.faults.imu.monitor import COUNTED, ImuMonitor
@@ -28,8 +28,6 @@ from navfilter.models.vehicle import Vehicle
 __all__ = ["FaultMonitor"]
 
 Array = NDArray[np.float64]
-#: A vehicle that has moved by more than so many standard deviations has moved [1].
-STILL_SDS = 3.0
 
 
 class FaultMonitor:
@@ -121,8 +119,8 @@ class FaultMonitor:
         if kept.again_s != channel.memory.last_s:
             kept.same_s = channel.memory.last_s
         kept.again_s = time_s
-        slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
-        moved = STILL_SDS * math.sqrt(max(channel.white[0, 0], channel.white[1, 1]))
+        slow = math.hypot(nav[3], nav[4]) - settings.STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
+        moved = settings.STILL_SDS * math.sqrt(max(channel.white[0, 0], channel.white[1, 1]))
         return bool(slow * (time_s - kept.same_s) > moved)
 
     def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:

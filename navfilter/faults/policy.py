@@ -26,8 +26,8 @@ from navfilter.faults import (
 from navfilter.faults.bias_plausibility import excused, pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
 from navfilter.faults.imu import acceleration, bias_drift, gyro_scale, realignment
-from navfilter.faults.protection_level import FOLLOWED_S, IN_LINE
-from navfilter.faults.refusals import LEAST, RejectionRun
+from navfilter.faults.protection_level import IN_LINE
+from navfilter.faults.refusals import RejectionRun
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
@@ -39,10 +39,6 @@ from navfilter.models.sensors.observable import Observable
 __all__ = ["REJECTED", "pending", "rejected", "used"]
 
 Array = NDArray[np.float64]
-#: Below this speed a velocity that is off says nothing of its scale [m/s].
-SLOW = 0.1
-#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
-AGAIN_S = 120.0
 
 
 def rejected(filter: FilterState, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> Actions:
@@ -238,11 +234,11 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
     if channel.offset:
         back = back + 1 if _is_back(filter, channel) else 0
         kept.refused = refused = replace(refused, back=back)
-        if channel.faults.set_aside and back < LEAST:
+        if channel.faults.set_aside and back < settings.RUN_LEAST:
             return False
     carried = depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
-    if wrong == "sensor" or refused.back >= LEAST:
+    if wrong == "sensor" or refused.back >= settings.RUN_LEAST:
         yield from _jumped(filter, channel, time_s)
         return False
     if wrong != "state" or channel.offset:
@@ -363,8 +359,8 @@ def _turned_to_the_compass(filter: FilterState) -> Iterator[Action]:
     for channel in filter.channels.values():
         kept = channel.faults
         lasts = (
-            now_s - kept.rejected_since_s >= realignment.REFUSED_S
-            and now_s - channel.memory.last_s < realignment.HEARD_S
+            now_s - kept.rejected_since_s >= settings.REFUSED_S
+            and now_s - channel.memory.last_s < settings.TILT_HEARD_S
         )
         north = channel.sensor.observes.north
         if lasts and north is not None and not channel.offset:
@@ -383,31 +379,33 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
     refused = kept.refused
     assert refused is not None
     may_be = depth_fault.undecided if channel.offset else depth_fault.may_be_right
-    if sensor_bias.is_gauge(channel) and refused.back < LEAST and may_be(filter, channel, time_s):
+    if sensor_bias.is_gauge(channel) and refused.back < settings.RUN_LEAST and may_be(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
         return
     kept.either = False
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, sensor_bias.offset_places(channel)
-    kept.aside = None if refused.back >= LEAST else velocity_fault.jumped(filter, channel, np.array(refused.offset))
+    kept.aside = (
+        None if refused.back >= settings.RUN_LEAST else velocity_fault.jumped(filter, channel, np.array(refused.offset))
+    )
     if kept.aside is not None:
         yield Inflate(places, places, size**2)
         opened = with_offsets(models, size, density=kept.aside.density, only=channel.sensor.jumps)
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
-    elif refused.back >= LEAST or not len(places):
+    elif refused.back >= settings.RUN_LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
-        moving = channel.sensor.observes is Observable.VELOCITY_BODY and speed > SLOW
+        moving = channel.sensor.observes is Observable.VELOCITY_BODY and speed > settings.POLICY_SLOW
         only, deviates = channel.sensor.jumps, channel.sensor.observes.north is not None
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
-    elif channel.moves and filter.inertial and time_s - kept.jumped_s < AGAIN_S:
+    elif channel.moves and filter.inertial and time_s - kept.jumped_s < settings.AGAIN_S:
         yield from _runs_away(filter, channel, time_s)
     else:
         yield Inflate(places, places, size**2)
         kept.refused = None
     kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
-    kept.course = kept.course if refused.back < LEAST else ()
-    if kept.way is not None and refused.back >= LEAST:
+    kept.course = kept.course if refused.back < settings.RUN_LEAST else ()
+    if kept.way is not None and refused.back >= settings.RUN_LEAST:
         kept.way = replace(kept.way, north=0.0, east=0.0)
     yield Count("jumped")
 
@@ -457,7 +455,7 @@ def _follows(channel: Channel, time_s: float) -> None:
     if channel.sensor.observes is Observable.FIX:
         before_m, before_s = channel.faults.beat or (0.0, -math.inf)
         off_m = math.hypot(*np.nan_to_num(channel.res[:2]).tolist())
-        channel.faults.beat = max(off_m, before_m if time_s - before_s < FOLLOWED_S else 0.0), float(time_s)
+        channel.faults.beat = max(off_m, before_m if time_s - before_s < settings.FOLLOWED_S else 0.0), float(time_s)
 
 
 def _readmit(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:

@@ -27,23 +27,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.models.health import LOST_HEADING, LOST_VELOCITY, MARGIN, Trust
 
 __all__ = ["bounds", "trust", "whole_offset"]
 
 Array = NDArray[np.float64]
 
-#: Share of the time that the truth may lie beyond a bound without any fault [1].
-RISK = 1e-3
 #: The distance in a plane, and the size of an angle, that noise of unit sd exceeds in that share of the time.
-IN_PLANE, IN_LINE = math.sqrt(-2.0 * math.log(RISK)), 3.2905
-#: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
-CONFIRMED_S = 30.0
-#: Fixes to which a state was set against what was believed are right once that is so long ago [s]: a receiver that has
-#: come up with a wrong place finds the right one sooner.
-FOLLOWED_S = 120.0
-#: Fixes are there while the last one is so old at most [s].
-PRESENT_S = 5.0
+IN_PLANE, IN_LINE = math.sqrt(-2.0 * math.log(settings.RISK)), 3.2905
 
 
 def bounds(
@@ -84,7 +76,7 @@ def bounds(
     >>> round(float(radius_m), 1)
     37.4
     """
-    away = np.asarray(age_s) > PRESENT_S
+    away = np.asarray(age_s) > settings.PRESENT_S
     heading = off.get("heading", 0.0)
     by_heading = 2.0 * np.sin(0.5 * np.minimum(heading, math.pi)) * moved_m
     by_velocity = np.maximum(np.multiply(age_s, off.get("velocity", 0.0)), beside_m)

@@ -7,15 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from navfilter.faults import settings
 from navfilter.faults.heading_fault import TrackRotationFit
 from navfilter.foundation.chi_square import chi_square_limit
 
 __all__ = ["RejectionRun"]
-
-#: So many readings that agree are believed together at the earliest.
-LEAST = 5
-#: Share of the good series that the test of agreement over a whole run of refusals turns down.
-TURNED_DOWN = 1e-4
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ class RejectionRun:
 
     def agree(self, span_s: float) -> bool:
         """Whether there are enough of them, over a long enough time, and their scatter is that of the sensor."""
-        return self.count >= LEAST and self.last_s - self.began_s >= span_s and not self.scatters
+        return self.count >= settings.RUN_LEAST and self.last_s - self.began_s >= span_s and not self.scatters
 
     def from_the_first(self) -> bool:
         """Whether the sensor jumped by the whole offset at once: the first refused reading showed it already."""
@@ -81,4 +77,4 @@ class RejectionRun:
 
 @lru_cache(maxsize=64)  # of a sensor that is refused for good it grows with each reading
 def _limit(dof: int) -> float:
-    return float(chi_square_limit(1.0 - TURNED_DOWN, dof))
+    return float(chi_square_limit(1.0 - settings.TURNED_DOWN, dof))

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.allowed_change import reckoned, wander
-from navfilter.faults.alternative_path import REACH_M
-from navfilter.faults.protection_level import CONFIRMED_S
 from navfilter.faults.refusals import RejectionRun
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.chi_square import chi_square_limit
@@ -48,23 +46,9 @@ JUDGED = (Observable.FIX, Observable.HEIGHT, Observable.HEADING, Observable.ATTI
 PLACE = (Observable.FIX, Observable.HEIGHT)
 #: Times that differ by less are the same [s].
 SAME_S = 1e-6
-#: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
-BEFORE_S = 2.0
-#: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
-AT_ONCE = 1.5
-#: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
-#: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity tells what the covariance of a
-#: position may gather meanwhile.
-HELD = 0.25
 #: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
 #: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
 SURFACED = chi_square_limit(0.99, np.arange(1, 4))
-#: A height that is off from its gauge by so many times as much as at first has gone away from it [1].
-GROWN = 3.0
-#: A constant that is off by no more of its standard deviations is zero but for chance [1]: one in three is off by more.
-CHANCE = 1.0
-#: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
-AGAIN = 0.02
 
 
 # ---------------------------------------------------------------- hearing refused readings
@@ -114,11 +98,11 @@ def add_rejection(
     seen = np.einsum("ij,jk,ik->i", channel.near[:, :9], P[:9, :9], channel.near[:, :9])
     before = memory.refused
     if before is None:
-        near = time_s - channel.memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
-        confirmed = near and channel.memory.used_s - memory.agreed_s >= CONFIRMED_S
+        near = time_s - channel.memory.used_s <= max(settings.BEFORE_S, 3.0 * channel.period_s)
+        confirmed = near and channel.memory.used_s - memory.agreed_s >= settings.CONFIRMED_S
         # an error that grows reaches the gate just so, now and then; one that jumps is beyond it at once
-        now_and_then = time_s - memory.refused_s <= BEFORE_S and memory.undisputed
-        at_once = not now_and_then and channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
+        now_and_then = time_s - memory.refused_s <= settings.BEFORE_S and memory.undisputed
+        at_once = not now_and_then and channel.verdict[0] > settings.AT_ONCE * channel.limits[int(channel.verdict[1])]
         first = tuple(residual.tolist())
         new = RejectionRun(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
         return _begun(new, residual, white, seen, time_s)
@@ -172,7 +156,7 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     held = held and channel.sensor.observes is not Observable.FIX
     if held or channel.faults.astray:
-        closer[1 : 1 + channel.axes] *= HELD
+        closer[1 : 1 + channel.axes] *= settings.HELD
     if dived:
         closer[1:4] = np.minimum(closer[1:4], SURFACED)
     if disproved(channel, time_s) and refused is not None and not refused.agree(settings.SPAN_S):
@@ -235,7 +219,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
         and refused.last_s - memory.rejected_since_s >= settings.SPAN_S
     ):
         off = float(np.abs(channel.res[0]))
-        if off > GROWN * abs(refused.first[0]) and off < REACH_M:
+        if off > settings.OFFSET_GROWN * abs(refused.first[0]) and off < settings.REACH_M:
             return "state"
     if refused is None or not refused.agree(
         settings.VELOCITY_SPAN_S if kind is Observable.VELOCITY_BODY else settings.SPAN_S
@@ -245,9 +229,9 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
     if refused.from_the_first():
         # a fix that is off by a constant says nothing more; a compass that came to agree on one late was off by more
         return None if fixes or disproved(channel, refused.began_s) else "sensor"
-    if kind in PLACE and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
+    if kind in PLACE and math.hypot(*np.nan_to_num(refused.offset)) > settings.REACH_M:
         return None
-    unconfirmed = not channel.memory.used_s - memory.agreed_s >= CONFIRMED_S
+    unconfirmed = not channel.memory.used_s - memory.agreed_s >= settings.CONFIRMED_S
     # after a dive fixes beat what was reckoned meanwhile
     return "state" if unconfirmed or (fixes and not refused.confirmed) else None
 
@@ -329,11 +313,11 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
         Covariance.
     """
     places = offset_places(channel)
-    if not (x[places - 9] ** 2 <= CHANCE**2 * P[places, places]).all():
+    if not (x[places - 9] ** 2 <= settings.CHANCE**2 * P[places, places]).all():
         return False
     off = channel.C[:, places - channel.group.start]
     known = np.einsum("ij,jk,ik->i", off, P[np.ix_(places, places)], off)
-    none = np.all((off @ x[places - 9]) ** 2 <= CHANCE**2 * known)
+    none = np.all((off @ x[places - 9]) ** 2 <= settings.CHANCE**2 * known)
     return bool(none and np.all(known <= np.diag(channel.R) + wander(channel, math.inf, with_offset=False)))
 
 
@@ -354,7 +338,7 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
     if channel.faults.either and not float(constant @ constant) > channel.limits[1] * float(seen.sum()):
         return False  # the state is not known well enough to tell whether it is the gauge that was off
-    meanwhile = (AGAIN * constant) ** 2
+    meanwhile = (settings.AGAIN * constant) ** 2
     squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)
     dof = int(np.count_nonzero(np.isfinite(squares)))
     return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])

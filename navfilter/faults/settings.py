@@ -1,9 +1,323 @@
-"""Constants of the fault rules."""
+"""Constants of the fault rules, by module: unit in brackets, and in parentheses where each comes from.
+
+*derived*: it follows from what is stated beside it. *measured*: on recordings. *chosen*: by judgement; these may only
+become fewer (`tests/test_settings.py` counts them).
+"""
 
 from __future__ import annotations
 
-#: For so long after it was refused a sensor may be wrong again [s]: it has to follow turns meanwhile.
+import math
+
+import numpy as np
+
+#: For so long after it was refused a sensor may be wrong again [s]: it has to follow turns meanwhile. (chosen)
 UNDISPUTED_S = 600.0
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
-#: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
+#: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in. (chosen)
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
+
+# -------------------- allowed change
+#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
+#: as the square of the time, and the gauge is right. (chosen)
+CARRIED_S = 5.0
+
+# -------------------- alternative path
+#: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
+#: (chosen)
+MOST_SPEED, FASTER = 3.0, 2.0
+#: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
+#: state is no longer a metre north of them. (chosen)
+REACH_M = 1e5
+#: A reading speaks for so long at most [s]: after a longer silence nobody knows what the sensor would have said.
+#: (chosen)
+SPEAKS_S = 1.0
+#: The way of the refused readings is known to this share of itself beside the heading's error [1]: what lies between
+#: them, and the reading or two before the gate closed. (chosen)
+PATH_SHARE = 0.1
+
+# -------------------- bias plausibility
+#: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
+#: fixes off in earnest is faster, or takes longer than the gate waits. (chosen)
+BIAS_SHARE = 0.1
+#: At rest it may err by what it may at this speed [m/s]: a constant of the velocity has no less to say then. (chosen)
+USUAL_SPEED = 1.5
+#: The position was pulled off by so many times the estimate at most [1]: an error that takes less than a tenth of what
+#: fixes say, beside the position, has not come to be so large by that. (derived)
+MOST_PULLED = 10.0
+
+# -------------------- clocks: sensor clock
+#: After so many readings that are ahead, or behind, by the same the clock of a sensor was set: one may have a wild
+#: stamp. [1] (chosen)
+SET = 4
+
+# -------------------- dead reckoning compass
+#: Refused fixes that come so long after each other are not of one way [s]. (chosen)
+APART_S = 60.0
+#: A velocity sensor has been used so lately at most [s]. (chosen)
+COMPASS_RECENT_S = 5.0
+#: A speed below this tells no share of it [m/s]. (chosen)
+COMPASS_SLOW = 0.1
+
+# -------------------- depth fault
+#: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives. (chosen)
+CARRIED_M_S = 0.1
+#: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
+#: readings happened to look alike. (chosen)
+DEPTH_GROWN = 2.0
+
+# -------------------- heading fault
+#: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
+#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
+#: the speed, is then less than a velocity sensor errs by). (derived)
+SURE, KNOWN_RAD = 5.0, 0.07
+#: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
+#: (derived)
+SCALE = 0.05
+#: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the
+#: first they have made it, beyond the second not. (chosen)
+FITS, MISSES = 2.0, 4.0
+#: A velocity sensor has been used so lately at most [s]. (chosen)
+HEADING_RECENT_S = 5.0
+#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
+#: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather. (chosen)
+DRAWN_RAD = math.radians(15.0)
+#: What it leaves of the speed, in standard deviations [1]. (derived)
+SAME_SPEED = 2.0
+#: A deviation that changes with the heading by more than this, at so many of its standard deviations [1]. (chosen)
+IRON_SLOPE, IRON_SURE = 0.5, 3.0
+
+# -------------------- imu: acceleration
+#: A ramp is told by so many refused readings at the earliest, over so long a time [s], by a slope of so many standard
+#: deviations (of Student's t with six degrees of freedom 2e-4 are beyond), and if it began at less than this share of
+#: what it has come to [1]: what fails at once is no ramp. (chosen)
+READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
+#: A sensor that accuses the drive was used for so long before [s], and led the vehicle so far from its start [m]: one
+#: that is described wrongly is refused when the vehicle first moves off. (chosen)
+ACCELERATION_USED_S, WAY_M = 60.0, 50.0
+#: While the vehicle turns faster, nothing is accused [rad/s]: what is described wrongly shows then, and not after.
+#: (chosen)
+TURNING = 0.05
+#: One that is refused for so long [s] without that is disputed. (chosen)
+ACCELERATION_DISPUTED_S = 1.0
+#: Such a one accuses by a ramp of so long [s], longer than readings are late, if its readings have changed by less
+#: than this share of what the ramp has grown by [1]: one in another unit changes by as much or more, with another sign
+#: by half of it. And the ramp must have grown by so much [m/s]: what a slow vehicle's wrong lever arm or mirrored axis
+#: makes of a turn is less. (measured)
+LONG_S, ACCELERATION_SAME, ACCELERATION_GROWN = 10.0, 0.25, 1.0
+#: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s]. (chosen)
+RUNAWAY_S = 2.0
+
+# -------------------- imu: bias drift
+#: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1]. (chosen)
+FLOOR = 0.15
+#: The share of a shift that the estimate has followed, at least [1]. (chosen)
+DRIFT_LEAST = 0.05
+#: A bias is opened by so many times its shift as found [1]: it came some time after the look. (derived)
+DRIFT_OPENED = 2.0
+#: What tilts the vehicle contradicts the accelerometers within so long [s]. (chosen)
+TILT_S = 10.0
+#: A ramp that no deviation explains is beyond so many times its variance [1]: three standard deviations, where six
+#: have told a shift already. (derived)
+BEYOND = 9.0
+#: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
+#: difference between a compass and how far gyros have turned [rad]. (chosen)
+DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
+#: An axis is about the vertical if so much of it is [1]. (chosen)
+UPRIGHT = 0.5
+
+# -------------------- imu: bias glr
+#: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often
+#: [s]: what contradicts shows within two seconds, or is too small to do harm by then. (chosen)
+WINDOWS, SPACING_S = 4, 0.5
+#: So many windows are too young to be judged by. [1] (chosen)
+YOUNG = 2
+#: Twice the log likelihood ratio, chi-square with one degree of freedom: six standard deviations, 2e-9 a look. Looks
+#: at 12 Hz on six axes, one in six or so of them independent, make 1e-4 false alarms an hour. [1] (derived)
+GLR_LIMIT = 36.0
+#: Something else explains it as well if its ratio is so near: a hundred times less likely. [1] (chosen)
+GLR_MARGIN = 10.0
+#: Share of all squared innovations that the jump must explain: a ramp that began up to half a second after its window
+#: explains 0.9, a single outlier among three readings 0.64, noise less. [1] (derived)
+GLR_SHARE = 0.85
+#: Left out for so long at first [s], twice as long each time that it fails again within as much, at most. (chosen)
+OUT_S, GLR_LONGEST_S = 10.0, 160.0
+#: A bias is opened by so many times the jump that was found, whose time is known by `SPACING_S` only. [1] (chosen)
+GLR_OPENED = 3.0
+#: What is left must carry the vehicle: a velocity and a heading heard within so long [s]. (chosen)
+GLR_HEARD_S = 3.0
+#: One that has been left out is left out again when compass or DVL has been rejected for so long [s]. (chosen)
+REJECTED_S = 1.0
+
+# -------------------- imu: gyro scale
+#: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s]. (chosen)
+GYRO_STEP_S, GYRO_LONGEST_S, STEPS, OLDEST_S = 0.5, 10.0, 24, 60.0
+#: A compass may turn by more or less than the vehicle, by this share of a step [1]: a deviation of 10 degrees does so.
+#: (chosen)
+GYRO_SHARE = 0.2
+#: A step counts as so much at most, as a square of standard deviations [1]: a single one proves nothing. (derived)
+MOST = 9.0
+#: How much likelier a factor has to be than none, as twice the log of the ratio [1]: four steps at least, six standard
+#: deviations. (derived)
+GYRO_LIMIT = 36.0
+#: Of what contradicts, a factor must leave less than this share [1]. (chosen)
+LEFT = 0.35
+#: Factors between these are those of a deviation; smaller ones, of either sign, are none [1]. (chosen)
+NEARLY, NONE = (0.62, 1.6), 0.2
+#: So far the vehicle must have turned, fast, since the compass was refused for so long [rad], [s]. (chosen)
+FOLLOWED, GYRO_DISPUTED_S = 1.0, 5.0
+#: Or the compass has agreed for so long, and was never refused for three seconds in ten minutes [s]. (chosen)
+GYRO_USED_S = 60.0
+#: And it has been refused for so long on end [s]: of one with heavy tails that is refused now and then, those readings
+#: are far apart whatever the gyros say. (chosen)
+LASTS_S = 1.0
+#: A velocity has been refused so lately [s]. (chosen)
+LATELY_S = 3.0
+#: An axis is used again once its factor is known to so much, and so close to 1 [1]. (chosen)
+KNOWN, CLOSE = 0.1, 0.25
+
+# -------------------- imu: monitor
+#: What a vehicle does unseen goes on for about so long [s]. (chosen)
+UNSEEN_S = 1.0
+#: What contradicts compass and DVL is found so late at most [s]: all windows of `navfilter.faults.imu.bias_glr`.
+#: (derived)
+FOUND_S = 2.0
+#: The square of a second difference of white noise is so many times its variance [1]. (derived)
+WHITE = 6.0
+#: An error is quick whose second differences are larger than this share of its variance [1]: of one with a correlation
+#: time of two hundred samples they are less. (derived)
+QUICK = 0.02
+#: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
+#: (chosen)
+TURN_S = 3.0
+
+# -------------------- imu: realignment
+#: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
+#: gravity, into an error that no covariance has [rad]. (derived)
+SURE_SD = 0.05
+#: The level contradicts the state beyond this NIS, of two components: 3e-7 of the good ones do. [1] (derived)
+TILT_LIMIT = 30.0
+#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.models.alignment` refuses it, too.
+#: (chosen)
+EXCESS = 1.5
+#: A velocity that has been refused for so long contradicts the state [s]. (chosen)
+REFUSED_S = 1.0
+#: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s]. (chosen)
+TILT_HEARD_S, VELOCITY_SD = 1.0, 0.1
+
+# -------------------- innovation gate
+#: What may be wrong with a state that all sensors contradict: roll, pitch and heading [rad]; and beside the largest
+#: residual, position [m] and velocity [m/s]. (chosen)
+OPEN_ATTITUDE, OPEN_MOTION = np.array([0.1, 0.1, 1.0]), np.repeat([10.0, 2.0], 3)
+#: Fixes that are off by more are of another coordinate system [m], a velocity is in another unit [m/s], a depth is no
+#: depth of any sea [m]. (derived)
+MOST_OFF = {"position": 1e5, "velocity": 20.0, "depth": 1.2e4}
+#: What together knows where the vehicle is and how it moves, and how far off it says that the state is at least [m],
+#: [m/s]: a slow vehicle's wrong clock or lever arm makes less of a turn. (chosen)
+MOTION = {"position": 0.0, "velocity": 2.0}
+#: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
+#: (chosen)
+MOTION_S = 10.0
+#: Where nothing else tells how the vehicle moves, fixes that are refused contradict the state in the same time, once
+#: they are off by so many times what the first of them was [1]: they have not jumped, it has gone away from them.
+#: (chosen)
+GATE_GROWN = 3.0
+#: A sensor counts as heard for so long after its last reading [s], and for so many of its periods. (chosen)
+GATE_HEARD_S, HEARD_PERIODS = 5.0, 3.0
+#: The gate of a sensor that is astray widens so many times later [1]: it was believed until it was beyond belief.
+#: (chosen)
+PATIENT = 5.0
+
+# -------------------- lane selection
+#: Lanes are compared so often [s]: short beside what a wrong unit does to a position. (chosen)
+LANE_STEP_S = 0.25
+#: Over so long a time [s]. (chosen)
+WINDOW_S = 60.0
+#: A component is an outlier in so many of one [1], anywhere within so many standard deviations of its sensor [1].
+#: (chosen)
+OUTLIERS, SPAN = 0.01, 100.0
+#: Another lane is taken when it has gained so much more [nat]: two sound units of one kind differ by less than 10 in a
+#: minute, a frozen one loses 100 in a second. (chosen)
+LANE_MARGIN = 50.0
+#: The lane without an inertial unit follows whatever sensor errs, while units contradict it. So two sensors must speak
+#: for it, each by so much [nat]: odds of 20,000. (chosen)
+SECOND = 10.0
+#: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
+#: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again. The
+#: other lane has to follow it: of what contradicts the unit, this share may contradict that lane too [1]. Readings in
+#: another unit of measurement contradict both, though the lane follows what of them is not beyond belief. (chosen)
+ALONE, LANE_SHARE, FOLLOWS = 900.0, 0.3, 0.1
+#: Or a unit runs away from a velocity. A sensor that has jumped contradicts it by as much for as long as it does; by
+#: what a unit feels wrong, it moves off further with each reading. A component contradicts beyond this NIS [1] (6e-7
+#: of the good ones do). Over at least so long [s] it has moved off by more than this many standard deviations [1] of
+#: what the vehicle may do unseen (`navfilter.Imu.gap_force_sd`, as a random walk of its velocity), by more than it was
+#: off at first, and so many times [1] as far as from any reading to the next: noise does not lead away. (chosen)
+CONTRADICTS, AWAY_S, AWAY_SD, LEADS = 25.0, 1.0, 3.0, 2.0
+#: A sensor that has said nothing for so long no longer contradicts [s]. (chosen)
+STALE_S = 2.0
+
+# -------------------- memory
+#: A sensor that has been refused for so long, and then used again, was wrong itself [s]. (chosen)
+SENSOR_DISPUTED_S = 3.0
+
+# -------------------- monitor
+#: A vehicle that has moved by more than so many standard deviations has moved [1]. (chosen)
+STILL_SDS = 3.0
+
+# -------------------- policy
+#: Below this speed a velocity that is off says nothing of its scale [m/s]. (chosen)
+POLICY_SLOW = 0.1
+#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
+#: (chosen)
+AGAIN_S = 120.0
+
+# -------------------- protection level
+#: Share of the time that the truth may lie beyond a bound without any fault [1]. (chosen)
+RISK = 1e-3
+#: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
+#: (chosen)
+CONFIRMED_S = 30.0
+#: Fixes to which a state was set against what was believed are right once that is so long ago [s]: a receiver that has
+#: come up with a wrong place finds the right one sooner. (chosen)
+FOLLOWED_S = 120.0
+#: Fixes are there while the last one is so old at most [s]. (chosen)
+PRESENT_S = 5.0
+
+# -------------------- refusals
+#: So many readings that agree are believed together at the earliest. [1] (chosen)
+RUN_LEAST = 5
+#: Share of the good series that the test of agreement over a whole run of refusals turns down. [1] (chosen)
+TURNED_DOWN = 1e-4
+
+# -------------------- sensor bias
+#: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three
+#: periods. (chosen)
+BEFORE_S = 2.0
+#: The NIS of the first refused reading of a jump is beyond its limit by this factor [1]. (chosen)
+AT_ONCE = 1.5
+#: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
+#: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity tells what the covariance of
+#: a position may gather meanwhile. (chosen)
+HELD = 0.25
+#: A height that is off from its gauge by so many times as much as at first has gone away from it [1]. (chosen)
+OFFSET_GROWN = 3.0
+#: A constant that is off by no more of its standard deviations is zero but for chance [1]: one in three is off by
+#: more. (derived)
+CHANCE = 1.0
+#: What a state is led astray by a jump that a constant described badly, as a share of the jump [1]. (chosen)
+AGAIN = 0.02
+
+# -------------------- velocity fault
+#: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.
+#: (chosen)
+VELOCITY_SHARE = 0.5
+#: A reading of less than this share of the jump says nothing of the velocity [1]: it is 0 at any. (chosen)
+SAYS = 0.25
+#: A reading is the same within this share of it [1]. (chosen)
+VELOCITY_SAME = 0.05
+#: By how much the velocity may differ as a multiple of what the reading does [1]: of another sign, by twice as much.
+#: (derived)
+VELOCITY_SLOPE = 2.0
+#: That may come and go within about so long [s]. (chosen)
+WANDERS_S = 60.0
+#: A sensor shows that it is back at more than this share of the speed at which it jumped [1]. (chosen)
+MOVING = 0.5

@@ -17,24 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 
 __all__ = ["VelocityFault", "jumped", "shows_itself", "unchanged", "widened_variances"]
 
 Array = NDArray[np.float64]
-#: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.
-SHARE = 0.5
-#: A reading of less than this share of the jump says nothing of the velocity [1]: it is 0 at any.
-SAYS = 0.25
-#: A reading is the same within this share of it [1].
-SAME = 0.05
-#: By how much the velocity may differ as a multiple of what the reading does [1]: of another sign, by twice as much.
-SLOPE = 2.0
-#: That may come and go within about so long [s].
-WANDERS_S = 60.0
-#: A sensor shows that it is back at more than this share of the speed at which it jumped [1].
-MOVING = 0.5
 
 
 @dataclass(frozen=True)
@@ -56,7 +45,7 @@ class VelocityFault:
     @property
     def density(self) -> float:
         """Of the random walk of its constants [m/s/sqrt(s)]."""
-        return SLOPE * SAME * _size(self.read) / math.sqrt(WANDERS_S)
+        return settings.VELOCITY_SLOPE * settings.VELOCITY_SAME * _size(self.read) / math.sqrt(settings.WANDERS_S)
 
 
 def jumped(filter: FilterState, channel: Channel, jump: Array) -> VelocityFault | None:
@@ -72,9 +61,9 @@ def jumped(filter: FilterState, channel: Channel, jump: Array) -> VelocityFault 
     """
     speed, by = math.hypot(*filter.memory.nav[3:6].tolist()), np.nan_to_num(jump)
     carried = filter.inertial and not filter.monitor.imu_monitor.has_excluded(filter.memory.monitor.imu)
-    if not channel.sensor.ground or not carried or _size(by) <= SHARE * speed:
+    if not channel.sensor.ground or not carried or _size(by) <= settings.VELOCITY_SHARE * speed:
         return None
-    says = _size(channel.reading) > SAYS * _size(by)
+    says = _size(channel.reading) > settings.SAYS * _size(by)
     read = channel.reading if says else np.full(channel.axes, math.nan)
     return VelocityFault(speed, tuple(read.tolist()), tuple(by.tolist()))
 
@@ -82,17 +71,17 @@ def jumped(filter: FilterState, channel: Channel, jump: Array) -> VelocityFault 
 def unchanged(kept: VelocityFault, z: Array) -> bool:
     """Whether a reading is what it was right after the jump."""
     off = np.abs(z - np.array(kept.read))
-    return bool(np.isfinite(off).any() and np.nanmax(off) <= SAME * _size(kept.read))
+    return bool(np.isfinite(off).any() and np.nanmax(off) <= settings.VELOCITY_SAME * _size(kept.read))
 
 
 def widened_variances(kept: VelocityFault, z: Array, plain: Array) -> Array:
     """White variances of a reading, and beside them what its change may hide."""
-    return np.asarray(plain + (SLOPE * np.nan_to_num(z - np.array(kept.read))) ** 2)
+    return np.asarray(plain + (settings.VELOCITY_SLOPE * np.nan_to_num(z - np.array(kept.read))) ** 2)
 
 
 def shows_itself(kept: VelocityFault, speed: float, off: Array) -> bool:
     """Whether a reading that is `off` the state by so much (axes,) proves that its sensor is back."""
-    return speed > MOVING * kept.speed and _size(off) < _size(off - np.array(kept.jump))
+    return speed > settings.MOVING * kept.speed and _size(off) < _size(off - np.array(kept.jump))
 
 
 def _size(vector: Array | tuple[float, ...]) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import protection_level
+from navfilter.faults import protection_level, settings
 from navfilter.faults.alternative_path import since_fix
 from navfilter.faults.bias_plausibility import beside
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
@@ -146,7 +146,7 @@ def _off(channel: Channel, watch: SensorMonitor, now_s: float) -> float:
         return 0.0
     note = channel.note.tolist()
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
-    confirmed = channel.memory.used_s - kept.agreed_s >= protection_level.CONFIRMED_S
+    confirmed = channel.memory.used_s - kept.agreed_s >= settings.CONFIRMED_S
     again = channel.memory.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     alone = kept.alone[0] if kept.alone else 0.0
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
@@ -163,4 +163,4 @@ def _off(channel: Channel, watch: SensorMonitor, now_s: float) -> float:
         return 0.0
     largest = max((v + s for v, s in zip(note[3 + a :], channel.slow, strict=True) if v + s > 0.0), default=0.0)
     unseen = math.sqrt(float(channel.limits[a]) * largest)
-    return max(unseen, kept.beat[0]) if kept.beat and now_s - kept.beat[1] < protection_level.FOLLOWED_S else unseen
+    return max(unseen, kept.beat[0]) if kept.beat and now_s - kept.beat[1] < settings.FOLLOWED_S else unseen

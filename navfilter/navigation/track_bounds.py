@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.alternative_path import SPEAKS_S, believable
-from navfilter.faults.protection_level import CONFIRMED_S, FOLLOWED_S, bounds, whole_offset
+from navfilter.faults import settings
+from navfilter.faults.alternative_path import believable
+from navfilter.faults.protection_level import bounds, whole_offset
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.fault_bias import has_offset, wanders
@@ -57,7 +58,7 @@ def _off(track: Track, name: str) -> Array:
     time_s, refused, sd = r.time_s[judged], ~used[judged], r.sd[judged]
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
     first_s = r.time_s[used][0] if used.any() else np.inf
-    again = refused & (np.r_[False, refused[:-1]] | (time_s < first_s + CONFIRMED_S))
+    again = refused & (np.r_[False, refused[:-1]] | (time_s < first_s + settings.CONFIRMED_S))
     slow = _slow(sensor)
     limit = float(chi_square_limit(sensor.gate_probability, sensor.axes))
     unseen = np.sqrt(limit * _largest(np.where(np.isnan(sd), 0.0, sd**2 + slow)))
@@ -65,7 +66,7 @@ def _off(track: Track, name: str) -> Array:
     off = np.where(again, whole_offset(sensor.observes.corrects, r.value[judged], max(slow)), unseen)[last]
     if sensor.observes.corrects == "position" and sensor.axes == 3:
         for k in _beat(r.value[judged], sd, refused, limit):
-            after = (track.time_s >= time_s[k]) & (track.time_s < time_s[k] + FOLLOWED_S)
+            after = (track.time_s >= time_s[k]) & (track.time_s < time_s[k] + settings.FOLLOWED_S)
             off[after] = np.maximum(off[after], np.hypot(*np.nan_to_num(r.value[judged][k, :2])))
     off[last < 0] = 0.0
     for begin_s, end_s in _with_offsets(track, name):
@@ -109,7 +110,7 @@ def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
         again &= (time_s < begin_s) | (time_s >= end_s)
     if not again.any():
         return np.zeros(len(track))
-    lasted = np.minimum(np.diff(time_s, prepend=time_s[0]), SPEAKS_S)
+    lasted = np.minimum(np.diff(time_s, prepend=time_s[0]), settings.SPEAKS_S)
     length = np.cumsum(np.where(again, np.linalg.norm(np.nan_to_num(value), axis=1) * lasted, 0.0))
     length = np.concatenate([[0.0], length])
     now, then = np.searchsorted(time_s, track.time_s, side="right"), np.searchsorted(time_s, fix_s, side="right")

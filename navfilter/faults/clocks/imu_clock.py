@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.clocks import sensor_clock
 from navfilter.faults.clocks.burst_stamps import Bursts, BurstsMemory
 from navfilter.faults.clocks.sensor_clock import Ahead
@@ -243,7 +244,7 @@ class ImuClockMonitor:
         """Whether a reading that is ahead of the drive waits until it is told whether the clock of its sensor was set:
         the first one, which leaps over a time of which nothing else has come, and those that are ahead by the same.
         """
-        if self.holds or not 0 < told.count < sensor_clock.SET or not (leaps or (told.waits and told.count > 1)):
+        if self.holds or not 0 < told.count < settings.SET or not (leaps or (told.waits and told.count > 1)):
             return False
         told.waits = True
         return True

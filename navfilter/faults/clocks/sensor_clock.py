@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["SET", "Ahead", "in_time", "set_by"]
+from navfilter.faults import settings
 
-#: After so many readings that are ahead, or behind, by the same the clock of a sensor was set: one may have a wild
-#: stamp.
-SET = 4
+__all__ = ["Ahead", "in_time", "set_by"]
+
 #: By how much is not told to more digits than this [1]; a reading that is carried on to makes the others late.
 DIGITS = 2
 
@@ -85,7 +84,7 @@ def set_by(clocks: dict[str, Ahead], name: str, stamp_s: float, last_s: float, l
         told.sum_s, told.count = 0.0, 0
     told.sum_s, told.count = told.sum_s + ahead_s, told.count + 1
     by_s = told.sum_s / told.count - told.usual_s
-    if told.count == SET and abs(by_s) > late_s and _others_are_as_before(clocks, told):
+    if told.count == settings.SET and abs(by_s) > late_s and _others_are_as_before(clocks, told):
         told.by_s = round(by_s, DIGITS)
     return told.by_s
 

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import ground_velocity
+from navfilter.faults import ground_velocity, settings
 from navfilter.faults.alternative_path import believable, most_speed
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
@@ -25,24 +25,6 @@ from navfilter.kernels import imu_checks as kernel
 __all__ = ["accused", "add_to_line", "ramp_of"]
 
 Array = NDArray[np.float64]
-#: A ramp is told by so many refused readings at the earliest, over so long a time [s], by a slope of so many standard
-#: deviations (of Student's t with six degrees of freedom 2e-4 are beyond), and if it began at less than this share of
-#: what it has come to [1]: what fails at once is no ramp.
-READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
-#: A sensor that accuses the drive was used for so long before [s], and led the vehicle so far from its start [m]: one
-#: that is described wrongly is refused when the vehicle first moves off.
-USED_S, WAY_M = 60.0, 50.0
-#: While the vehicle turns faster, nothing is accused [rad/s]: what is described wrongly shows then, and not after.
-TURNING = 0.05
-#: One that is refused for so long [s] without that is disputed.
-DISPUTED_S = 1.0
-#: Such a one accuses by a ramp of so long [s], longer than readings are late, if its readings have changed by less than
-#: this share of what the ramp has grown by [1]: one in another unit changes by as much or more, with another sign by
-#: half of it. And the ramp must have grown by so much [m/s]: what a slow vehicle's wrong lever arm or mirrored axis
-#: makes of a turn is less.
-LONG_S, SAME, GROWN = 10.0, 0.25, 1.0
-#: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s].
-RUNAWAY_S = 2.0
 
 
 def accused(filter: FilterState, channel: Channel, time_s: float) -> float | None:
@@ -65,7 +47,7 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         return 0.0
     if residual is None or not _was_right(filter, channel):
         slope = None
-    elif time_s == since_s or float(np.linalg.norm(filter.memory.monitor.imu[:3, kernel.MEAN])) > TURNING:
+    elif time_s == since_s or float(np.linalg.norm(filter.memory.monitor.imu[:3, kernel.MEAN])) > settings.TURNING:
         kept.ramp, slope = (), None
     elif believable(residual, math.hypot(*nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
         kept.ramp = add_to_line(kept.ramp, time_s - since_s, residual, read(filter, channel))
@@ -78,7 +60,11 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         slope = None
     if slope is None and ran_away(filter, channel, time_s):
         return 0.0
-    if slope is None and time_s - since_s >= DISPUTED_S and not may_accuse(filter, channel, time_s):
+    if (
+        slope is None
+        and time_s - since_s >= settings.ACCELERATION_DISPUTED_S
+        and not may_accuse(filter, channel, time_s)
+    ):
         kept.disputed_s = time_s
     return slope
 
@@ -93,13 +79,13 @@ def _was_right(filter: FilterState, channel: Channel) -> bool:
     if not filter.inertial or not channel.sensor.ground:
         return False
     kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
-    return channel.memory.used_s - kept.agreed_s >= USED_S and math.hypot(*way) >= WAY_M
+    return channel.memory.used_s - kept.agreed_s >= settings.ACCELERATION_USED_S and math.hypot(*way) >= settings.WAY_M
 
 
 def ran_away(filter: FilterState, channel: Channel, time_s: float) -> bool:
     """Whether the state has become faster than the vehicle can be, while a velocity that was right is refused."""
     kept, stated = channel.faults, filter.vehicle.drive.max_speed_m_s
-    if not time_s - kept.rejected_since_s >= RUNAWAY_S or not _was_right(filter, channel):
+    if not time_s - kept.rejected_since_s >= settings.RUNAWAY_S or not _was_right(filter, channel):
         return False
     fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
     if max(fixes, default=-math.inf) > kept.rejected_since_s:
@@ -144,7 +130,11 @@ def reads_the_same(ramp: tuple[float, ...], reading: Array, slope: float) -> boo
     """
     lasted_s = 2.0 * (ramp[2] / ramp[1] - ramp[0])  # of evenly spaced readings
     changed = float(np.linalg.norm(reading - np.array(ramp[-3:])))
-    return lasted_s >= LONG_S and slope * lasted_s >= GROWN and changed < SAME * slope * lasted_s
+    return (
+        lasted_s >= settings.LONG_S
+        and slope * lasted_s >= settings.ACCELERATION_GROWN
+        and changed < settings.ACCELERATION_SAME * slope * lasted_s
+    )
 
 
 def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
@@ -168,11 +158,11 @@ def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
     r, rt, rr = np.array(ramp[4:-3]).reshape(3, -1)
     spread = tt - t * t / n
     last_s = 2.0 * t / n - first_s  # of evenly spaced readings
-    if n < READINGS or last_s - first_s < RAMP_S:
+    if n < settings.READINGS or last_s - first_s < settings.RAMP_S:
         return None
     slope = (rt - t * r / n) / spread
     left = np.maximum(rr - r * r / n - slope * (rt - t * r / n), 0.0) / (n - 2.0)
     sds = math.sqrt(float(np.sum(slope**2 * spread / np.maximum(left, white))))
     began = r / n - slope * t / n
-    grown = float(np.linalg.norm(began)) < BEGAN * float(np.linalg.norm(began + slope * last_s))
-    return float(np.linalg.norm(slope)) if sds > SLOPE_SDS and grown else None
+    grown = float(np.linalg.norm(began)) < settings.BEGAN * float(np.linalg.norm(began + slope * last_s))
+    return float(np.linalg.norm(slope)) if sds > settings.SLOPE_SDS and grown else None

@@ -25,6 +25,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.settings import UNDISPUTED_S
 from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.filter_memory import FilterMemory
@@ -53,22 +54,6 @@ __all__ = ["check_biases", "due_s", "fresh", "gyros", "looking", "shifted"]
 Array = NDArray[np.float64]
 #: The estimates are looked at so often [s], and held against those of so many looks before [1].
 EVERY_S, LOOKS = batch.LOOK_EVERY_S, 16
-#: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1].
-FLOOR = 0.15
-#: The share of a shift that the estimate has followed, at least [1].
-LEAST = 0.05
-#: A bias is opened by so many times its shift as found [1]: it came some time after the look.
-OPENED = 2.0
-#: What tilts the vehicle contradicts the accelerometers within so long [s].
-TILT_S = 10.0
-#: A ramp that no deviation explains is beyond so many times its variance [1]: three standard deviations, where six have
-#: told a shift already.
-BEYOND = 9.0
-#: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
-#: difference between a compass and how far gyros have turned [rad].
-DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
-#: An axis is about the vertical if so much of it is [1].
-UPRIGHT = 0.5
 
 
 def fresh() -> Array:
@@ -95,7 +80,7 @@ def gyros(drive: Group, period_s: float) -> Array:
     """What is known of the gyros of an inertial unit, see `navfilter.kernels.bias_drift`."""
     known = drive.gyro_biases.copy()
     known[kernel.WALK] /= period_s
-    known[kernel.LEAST] *= FLOOR**2
+    known[kernel.LEAST] *= settings.FLOOR**2
     return known
 
 
@@ -114,7 +99,7 @@ def check_biases(filter: FilterState) -> Iterator[Action]:
     g = filter.layout.drive
     places, walk = gyros[kernel.PLACE].astype(int), gyros[kernel.WALK]
     compass, kept = _compass(filter), looks
-    upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, now[TIME_S])
+    upright, calm = np.abs(memory.nav[12:15]) > settings.UPRIGHT, _undisputed(filter, now[TIME_S])
     found = [
         f
         for f in shifted(kept, now, walk, g.P0[places - g.start, places - g.start])
@@ -152,7 +137,7 @@ def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: flo
     time_s, heading, apart = looks[heard][:, [TIME_S, HEADING, APART]].T
     since_s, before = float(looks[row, TIME_S]), float(looks[row, VARIANCE + axis])
     slope, variance = ramp_beyond_deviation(time_s, heading, apart, noise, since_s, before)
-    return slope * size < 0.0 and slope**2 > BEYOND * variance
+    return slope * size < 0.0 and slope**2 > settings.BEYOND * variance
 
 
 def ramp_beyond_deviation(
@@ -172,8 +157,8 @@ def ramp_beyond_deviation(
         Variance of what the gyros' bias was before.
     """
     apart, age = np.unwrap(apart), time_s - time_s[-1]
-    S = noise + UNKNOWN**2 + bias * np.outer(age, age)
-    for k, sd in enumerate(DEVIATION, 1):
+    S = noise + settings.UNKNOWN**2 + bias * np.outer(age, age)
+    for k, sd in enumerate(settings.DEVIATION, 1):
         S = S + sd**2 * np.cos(k * (heading[:, None] - heading))
     ramp = np.maximum(time_s - since_s, 0.0)
     weights = np.linalg.solve(S, np.column_stack([ramp, apart - apart[-1]]))
@@ -197,7 +182,7 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     begin : ndarray, shape (3,)
         Their variances at the start.
     """
-    least = FLOOR**2 * begin
+    least = settings.FLOOR**2 * begin
     if largest_change(looks, now, walk, least) <= LIMIT:
         return []
     moved, added = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE], walk * (now[TIME_S] - looks[:, [TIME_S]])
@@ -210,7 +195,9 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     for axis in np.flatnonzero(beyond.max(axis=0) > LIMIT).tolist():
         row = int(np.argmax(beyond[:, axis]))
         followed = lost[row, axis] / (looks[row, VARIANCE + axis] + added[row, axis])
-        found.append((axis, row, OPENED * float(moved[row, axis]) / max(float(followed), LEAST)))
+        found.append(
+            (axis, row, settings.DRIFT_OPENED * float(moved[row, axis]) / max(float(followed), settings.DRIFT_LEAST))
+        )
     return found
 
 
@@ -232,4 +219,4 @@ def _open(memory: FilterMemory, place: int, axis: int, size: float, looks: Array
     done[place] = 0.0
     yield Inflate(slice(None), slice(None), np.outer(done, done))
     yield Inflate(place, place, size**2)
-    yield Inflate(range(6, 8), range(6, 8), (rate[:2] * min(since_s[-1], TILT_S)) ** 2)
+    yield Inflate(range(6, 8), range(6, 8), (rate[:2] * min(since_s[-1], settings.TILT_S)) ** 2)

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.filter.actions import Action, Inflate
 from navfilter.filter.events import Correction, Event, Propagated, StateTransformed
 from navfilter.filter.filter_memory import FilterMemory
@@ -28,27 +29,6 @@ from navfilter.models.mechanisation import Mechanisation
 __all__ = ["BiasJumpGlr"]
 
 Array = NDArray[np.float64]
-#: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often [s]:
-#: what contradicts shows within two seconds, or is too small to do harm by then.
-WINDOWS, SPACING_S = 4, 0.5
-#: So many windows are too young to be judged by.
-YOUNG = 2
-#: Twice the log likelihood ratio, chi-square with one degree of freedom: six standard deviations, 2e-9 a look. Looks at
-#: 12 Hz on six axes, one in six or so of them independent, make 1e-4 false alarms an hour.
-LIMIT = 36.0
-#: Something else explains it as well if its ratio is so near: a hundred times less likely.
-MARGIN = 10.0
-#: Share of all squared innovations that the jump must explain: a ramp that began up to half a second after its window
-#: explains 0.9, a single outlier among three readings 0.64, noise less.
-SHARE = 0.85
-#: Left out for so long at first [s], twice as long each time that it fails again within as much, at most.
-OUT_S, LONGEST_S = 10.0, 160.0
-#: A bias is opened by so many times the jump that was found, whose time is known by `SPACING_S` only.
-OPENED = 3.0
-#: What is left must carry the vehicle: a velocity and a heading heard within so long [s].
-HEARD_S = 3.0
-#: One that has been left out is left out again when compass or DVL has been rejected for so long [s].
-REJECTED_S = 1.0
 
 
 class BiasJumpGlr:
@@ -69,7 +49,7 @@ class BiasJumpGlr:
         rows = AXES
         for name, channel in channels.items():
             self._rows[name], rows = rows, rows + channel.axes
-        banks = np.zeros((WINDOWS if self.active else 0, rows + 2, layout.size + 3))
+        banks = np.zeros((settings.WINDOWS if self.active else 0, rows + 2, layout.size + 3))
         for bank in banks:
             for name in channels:
                 bank[self._rows[name], -1] = 1.0
@@ -99,13 +79,13 @@ class BiasJumpGlr:
             if event.channel is None or not self.active:
                 return
             channel, banks = event.channel, memory.monitor.bias_glr
-            slot = int(memory.time_s / SPACING_S)
+            slot = int(memory.time_s / settings.SPACING_S)
             if filter.monitor.imu_monitor.busy(memory.monitor.imu):
                 # what stands in place of an axis is no white noise: what it does to innovations is no jump
                 for bank in banks:
                     self._begin(bank, filter.layout)
             elif slot != banks[0, -2, -1]:
-                self._begin(banks[slot % WINDOWS], filter.layout)
+                self._begin(banks[slot % settings.WINDOWS], filter.layout)
             banks[0, -2, -1], largest = slot, 0.0
             offset, says = self._rows[channel.name], True
             if value is not None:
@@ -113,7 +93,7 @@ class BiasJumpGlr:
                 banks[0, -1, offset] = value.sum()
             for bank in banks:
                 largest = max(largest, update_jumps(bank, channel.mem, channel.dims, channel.places, offset, says))
-            if largest > LIMIT:
+            if largest > settings.GLR_LIMIT:
                 yield from self._judge(filter)
             if self.fails_again(channel, memory):
                 yield from self._leave_out(filter, np.zeros(AXES))
@@ -131,17 +111,20 @@ class BiasJumpGlr:
         likely, sizes = rows[:, :, n] ** 2 / c, rows[:, :, n] / c
         # a few readings of a new window are explained by anything
         slot = int(memory.monitor.bias_glr[0, -2, -1])
-        old = [(slot - back) % WINDOWS for back in range(YOUNG, WINDOWS)]
+        old = [(slot - back) % settings.WINDOWS for back in range(settings.YOUNG, settings.WINDOWS)]
         window = max(old, key=lambda k: likely[k, :AXES].max())
         axis = int(np.argmax(likely[window, :AXES]))
         best = likely[window, axis]
-        if best < likely[:, AXES:].max(initial=0.0) + MARGIN or best < SHARE * memory.monitor.bias_glr[window, -1, -1]:
+        if (
+            best < likely[:, AXES:].max(initial=0.0) + settings.GLR_MARGIN
+            or best < settings.GLR_SHARE * memory.monitor.bias_glr[window, -1, -1]
+        ):
             return
-        if best < LIMIT or not self._carried(filter):
+        if best < settings.GLR_LIMIT or not self._carried(filter):
             return
         errors = sizes[window, :3, None] * rows[window, :3, 6:9]
         # the velocity is opened by what stands in place of forces; what the gyros may have done to the attitude:
-        blamed = likely[window, :3] > best - MARGIN
+        blamed = likely[window, :3] > best - settings.GLR_MARGIN
         yield Inflate(slice(6, 9), slice(6, 9), errors[blamed].T @ errors[blamed])
         yield from self._leave_out(filter, sizes[window, :AXES])
 
@@ -159,12 +142,12 @@ class BiasJumpGlr:
         tilt = slope / strapdown.gravity(memory.nav[0], memory.nav[2])
         yield Inflate(range(6, 8), range(6, 8), tilt**2)
         if self._carried(filter):
-            yield from self._leave_out(filter, np.repeat([tilt / OUT_S, slope], 3))
+            yield from self._leave_out(filter, np.repeat([tilt / settings.OUT_S, slope], 3))
 
     @staticmethod
     def _carried(filter: FilterState) -> bool:
         """Whether compass and DVL carry the vehicle without it."""
-        recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
+        recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < settings.GLR_HEARD_S]
         return any(c.moves and not c.faults.set_aside for c in recent) and any(
             c.sensor.observes.north is not None for c in recent
         )
@@ -173,21 +156,23 @@ class BiasJumpGlr:
     def fails_again(channel: Channel, memory: FilterMemory) -> bool:
         """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
         since_s = memory.time_s - channel.faults.rejected_since_s
-        late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < LONGEST_S
+        late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < settings.GLR_LONGEST_S
         carries = not channel.faults.set_aside and (channel.moves or channel.sensor.observes.north is not None)
-        return late and since_s > REJECTED_S and carries
+        return late and since_s > settings.REJECTED_S and carries
 
     def _leave_out(self, filter: FilterState, sizes: Array) -> Iterator[Action]:
         """Gyros and accelerometers are left out for a while; the longer, the sooner they have failed again."""
         now_s = filter.memory.time_s
         for begin in (0, 3):
             axes, first = filter.memory.monitor.imu[begin : begin + 3], filter.memory.monitor.imu[begin]
-            again = now_s - first[kernel.UNTIL_S] < max(first[kernel.OUT_S], OUT_S)
-            first[kernel.OUT_S] = min(2.0 * first[kernel.OUT_S], LONGEST_S) if again else OUT_S
+            again = now_s - first[kernel.UNTIL_S] < max(first[kernel.OUT_S], settings.OUT_S)
+            first[kernel.OUT_S] = min(2.0 * first[kernel.OUT_S], settings.GLR_LONGEST_S) if again else settings.OUT_S
             first[kernel.UNTIL_S] = now_s + first[kernel.OUT_S]
             left = axes[:, kernel.CODE] <= kernel.NOISY
             axes[left, kernel.CODE], axes[left, kernel.BEGAN_S] = kernel.CONTRADICTED, 0.0
-            axes[:, kernel.JUMP] = np.maximum(axes[:, kernel.JUMP], OPENED * np.abs(sizes[begin : begin + 3]))
+            axes[:, kernel.JUMP] = np.maximum(
+                axes[:, kernel.JUMP], settings.GLR_OPENED * np.abs(sizes[begin : begin + 3])
+            )
         yield from filter.monitor.imu_monitor.heed(filter)
 
     def take_back(self, axes: Array, first: int, filter: FilterState) -> Iterator[Action]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.allowed_change import wander
 from navfilter.filter.actions import Action, Inflate
 from navfilter.filter.monitor import FilterState
@@ -26,30 +27,6 @@ from navfilter.kernels import imu_checks as kernel
 __all__ = ["GyroScaleTest", "agrees", "check_readmission", "refused", "wrong_since"]
 
 Array = NDArray[np.float64]
-#: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s].
-STEP_S, LONGEST_S, STEPS, OLDEST_S = 0.5, 10.0, 24, 60.0
-#: A compass may turn by more or less than the vehicle, by this share of a step [1]: a deviation of 10 degrees does so.
-SHARE = 0.2
-#: A step counts as so much at most, as a square of standard deviations [1]: a single one proves nothing.
-MOST = 9.0
-#: How much likelier a factor has to be than none, as twice the log of the ratio [1]: four steps at least, six standard
-#: deviations.
-LIMIT = 36.0
-#: Of what contradicts, a factor must leave less than this share [1].
-LEFT = 0.35
-#: Factors between these are those of a deviation; smaller ones, of either sign, are none [1].
-NEARLY, NONE = (0.62, 1.6), 0.2
-#: So far the vehicle must have turned, fast, since the compass was refused for so long [rad], [s].
-FOLLOWED, DISPUTED_S = 1.0, 5.0
-#: Or the compass has agreed for so long, and was never refused for three seconds in ten minutes [s].
-USED_S = 60.0
-#: And it has been refused for so long on end [s]: of one with heavy tails that is refused now and then, those readings
-#: are far apart whatever the gyros say.
-LASTS_S = 1.0
-#: A velocity has been refused so lately [s].
-LATELY_S = 3.0
-#: An axis is used again once its factor is known to so much, and so close to 1 [1].
-KNOWN, CLOSE = 0.1, 0.25
 
 
 @dataclass(frozen=True)
@@ -93,7 +70,7 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
     memory, kept, w = filter.memory, channel.faults, filter.memory.monitor.imu
     before = kept.turns or GyroScaleTest()
     if (
-        time_s - before.time_s < STEP_S
+        time_s - before.time_s < settings.GYRO_STEP_S
         or not filter.monitor.imu_monitor.active
         or (w[:3, kernel.HEEDED] > kernel.NOISY).any()
     ):
@@ -107,12 +84,12 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
     axis = int(np.argmax(np.abs(memory.nav[12:15] * w[:3, kernel.MEAN])))
     turned = float(np.sum(np.abs([step[2] for step in now.steps])))
     fast = float(w[kernel.UNIT, kernel.FAST])
-    proven = fast - now.followed - turned >= FOLLOWED or _undisputed(channel)
-    lasts = time_s - kept.rejected_since_s >= LASTS_S
+    proven = fast - now.followed - turned >= settings.FOLLOWED or _undisputed(channel)
+    lasts = time_s - kept.rejected_since_s >= settings.LASTS_S
     may_be = lasts and proven and _velocity_refused(filter, time_s)
     since_s = wrong_since(now.steps) if may_be else None
     if since_s is None:
-        if time_s - kept.rejected_since_s >= DISPUTED_S:
+        if time_s - kept.rejected_since_s >= settings.GYRO_DISPUTED_S:
             kept.turns = replace(now, followed=fast)
         return
     yield from _leave_out(filter, axis, residual, time_s - since_s)
@@ -125,11 +102,11 @@ def check_readmission(filter: FilterState) -> None:
     held = np.flatnonzero(w[:3, kernel.HELD])
     for channel in filter.channels.values():
         kept = channel.faults
-        if not len(held) or kept.turns is None or memory.time_s - kept.turns.time_s < STEP_S:
+        if not len(held) or kept.turns is None or memory.time_s - kept.turns.time_s < settings.GYRO_STEP_S:
             continue
         noise = 2.0 * float(memory.P[8, 8])
         kept.turns = _stepped(kept.turns, memory.time_s, _heading(memory.nav), w, noise)
-        if memory.time_s - channel.memory.used_s < LATELY_S and agrees(kept.turns.steps):
+        if memory.time_s - channel.memory.used_s < settings.LATELY_S and agrees(kept.turns.steps):
             w[held, kernel.HELD], kept.turns = 0.0, replace(kept.turns, steps=())
 
 
@@ -148,20 +125,20 @@ def wrong_since(steps: tuple[tuple[float, ...], ...]) -> float | None:
     >>> contradicted(tuple((1.0 * k, 0.1 + e, -0.1, 2e-5) for k, e in enumerate(noise)))
     0.0
     """
-    best, since_s = LIMIT, None
+    best, since_s = settings.GYRO_LIMIT, None
     for first in range(len(steps)):
         time_s, c, g, v = np.array(steps[first:]).T
-        v = v + (SHARE * np.maximum(np.abs(c), np.abs(g))) ** 2
+        v = v + (settings.GYRO_SHARE * np.maximum(np.abs(c), np.abs(g))) ** 2
         factor = float(np.sum(c * g / v) / max(float(np.sum(c * c / v)), 1e-300))
-        against = float(np.minimum((c - g) ** 2 / v, MOST).sum())
-        left = float(np.minimum((g - factor * c) ** 2 / (v * max(1.0, factor**2)), MOST).sum())
-        if against - left > best and left < LEFT * against and not _is_one(factor):
+        against = float(np.minimum((c - g) ** 2 / v, settings.MOST).sum())
+        left = float(np.minimum((g - factor * c) ** 2 / (v * max(1.0, factor**2)), settings.MOST).sum())
+        if against - left > best and left < settings.LEFT * against and not _is_one(factor):
             best, since_s = against - left, float(time_s[0])
     return since_s
 
 
 def _is_one(factor: float) -> bool:
-    return NEARLY[0] < factor < NEARLY[1] or abs(factor) < NONE
+    return settings.NEARLY[0] < factor < settings.NEARLY[1] or abs(factor) < settings.NONE
 
 
 def agrees(steps: tuple[tuple[float, ...], ...]) -> bool:
@@ -171,7 +148,7 @@ def agrees(steps: tuple[tuple[float, ...], ...]) -> bool:
     _, c, g, v = np.array(steps).T
     information = float(np.sum(c * c / v))
     factor = float(np.sum(c * g / v)) / max(information, 1e-300)
-    return information > KNOWN**-2 and abs(factor - 1.0) < CLOSE and wrong_since(steps) is None
+    return information > settings.KNOWN**-2 and abs(factor - 1.0) < settings.CLOSE and wrong_since(steps) is None
 
 
 def _heading(nav: Array) -> float:
@@ -181,20 +158,20 @@ def _heading(nav: Array) -> float:
 def _stepped(before: GyroScaleTest, time_s: float, heading: float, w: Array, noise: float) -> GyroScaleTest:
     """With one more look."""
     turned, off = float(w[kernel.UNIT, kernel.TURNED]), math.remainder(heading - before.heading, 2.0 * math.pi)
-    steps = tuple(step for step in before.steps if time_s - step[0] < OLDEST_S)
-    if time_s - before.time_s <= LONGEST_S:
-        steps = (*steps, (time_s, off, turned - before.turned, noise))[-STEPS:]
+    steps = tuple(step for step in before.steps if time_s - step[0] < settings.OLDEST_S)
+    if time_s - before.time_s <= settings.GYRO_LONGEST_S:
+        steps = (*steps, (time_s, off, turned - before.turned, noise))[-settings.STEPS :]
     return replace(before, time_s=time_s, heading=heading, turned=turned, steps=steps)
 
 
 def _undisputed(compass: Channel) -> bool:
-    return compass.faults.undisputed and compass.memory.used_s - compass.faults.agreed_s >= USED_S
+    return compass.faults.undisputed and compass.memory.used_s - compass.faults.agreed_s >= settings.GYRO_USED_S
 
 
 def _velocity_refused(filter: FilterState, time_s: float) -> bool:
     """Whether a velocity contradicts the state, too."""
     moving = [c.faults for c in filter.channels.values() if c.moves and not c.faults.set_aside]
-    return any(m.refused_s > time_s - LATELY_S or not math.isnan(m.rejected_since_s) for m in moving)
+    return any(m.refused_s > time_s - settings.LATELY_S or not math.isnan(m.rejected_since_s) for m in moving)
 
 
 def _leave_out(filter: FilterState, axis: int, residual: float, seconds: float) -> Iterator[Action]:

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults import settings
 from navfilter.faults.imu import gyro_scale
 from navfilter.filter.actions import Action, AxisCondition, Count, Fold, Inflate, Reweigh
 from navfilter.filter.filter_memory import FilterMemory
@@ -35,17 +36,6 @@ CONDITIONS = (
 USED = CONDITIONS[: kernel.NOISY + 1]
 #: Counters: conditions that began, by axis, and spikes.
 COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
-#: What a vehicle does unseen goes on for about so long [s].
-UNSEEN_S = 1.0
-#: What contradicts compass and DVL is found so late at most [s]: all windows of `navfilter.faults.imu.bias_glr`.
-FOUND_S = 2.0
-#: The square of a second difference of white noise is so many times its variance [1].
-WHITE = 6.0
-#: An error is quick whose second differences are larger than this share of its variance [1]: of one with a correlation
-#: time of two hundred samples they are less.
-QUICK = 0.02
-#: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
-TURN_S = 3.0
 #: A reading at the end of the range, short of it by rounding.
 RANGE_END = 0.999
 
@@ -84,7 +74,7 @@ class ImuMonitor:
         """
         if not self.active:
             return np.sqrt(white)
-        return np.sqrt(white + np.array([_quick(model, self._period_s) for model in drive.models]) / WHITE)
+        return np.sqrt(white + np.array([_quick(model, self._period_s) for model in drive.models]) / settings.WHITE)
 
     def initial_memory(self) -> Array:
         """What it remembers before the first sample."""
@@ -143,14 +133,14 @@ class ImuMonitor:
         output[:, : C.shape[1]], output[:, -1] = C, r
         for i, code in enumerate(w[: kernel.UNIT, kernel.HEEDED]):
             if code > kernel.NOISY:
-                density = self._unseen[i] ** 2 * UNSEEN_S
+                density = self._unseen[i] ** 2 * settings.UNSEEN_S
                 if i > 2:
                     # the force at rest stands there, by the attitude as it is believed: its tilt is not felt
-                    density += (w[kernel.UNIT, kernel.GRAVITY] * strapdown.GAP_TILT) ** 2 * TURN_S
+                    density += (w[kernel.UNIT, kernel.GRAVITY] * strapdown.GAP_TILT) ** 2 * settings.TURN_S
                 elif i < 2:
                     # velocities show a tilt only where forces are felt
                     felt = not (w[3:6, kernel.HEEDED] > kernel.NOISY).any()
-                    density = strapdown.GAP_TILT**2 / (UNSEEN_S if felt else strapdown.GAP_TILT_S)
+                    density = strapdown.GAP_TILT**2 / (settings.UNSEEN_S if felt else strapdown.GAP_TILT_S)
                 output[i, :-1], output[i, -1] = 0.0, density / self._period_s
             elif code == kernel.NOISY:
                 output[i, -1] = max(r[i], w[i, kernel.WHITE])
@@ -243,7 +233,7 @@ class ImuMonitor:
     def replaced_s(self, w: Array) -> float:
         """So long ago what is left out may have begun to be wrong, or was looked at last [s]."""
         lost = w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY
-        return FOUND_S + kernel.JUDGED_S + float(w[: kernel.UNIT, kernel.BEGAN_S][lost].max(initial=0.0))
+        return settings.FOUND_S + kernel.JUDGED_S + float(w[: kernel.UNIT, kernel.BEGAN_S][lost].max(initial=0.0))
 
     def lane(self, w: Array) -> str:
         """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
@@ -270,6 +260,6 @@ def _quick(model: ErrorModel, period_s: float) -> float:
         # x(k) - 2 x(k-1) + x(k-2), by what stands at k-2 and what has come since
         last, new = b.C @ (b.Phi @ b.Phi - 2.0 * b.Phi + np.eye(b.size)), b.C @ (b.Phi - 2.0 * np.eye(b.size))
         square = float(last @ b.P0 @ last + new @ b.Q @ new + b.C @ b.Q @ b.C)
-        if square > QUICK * float(b.C @ b.P0 @ b.C):
+        if square > settings.QUICK * float(b.C @ b.P0 @ b.C):
             total += square
     return total

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import ground_velocity
+from navfilter.faults import ground_velocity, settings
 from navfilter.faults.alternative_path import believable, follows, full_residual, most_speed, moved
 from navfilter.filter.actions import Action, Announce, Count, MovePosition, RestartRest, Reweigh, Transform
 from navfilter.filter.events import SamplesReplaced
@@ -32,17 +32,6 @@ from navfilter.models.state import rotation_matrix
 __all__ = ["after_fault", "attend", "set_anew", "tilted"]
 
 Array = NDArray[np.float64]
-#: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
-#: gravity, into an error that no covariance has [rad].
-SURE_SD = 0.05
-#: The level contradicts the state beyond this NIS, of two components: 3e-7 of the good ones do.
-LIMIT = 30.0
-#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.models.alignment` refuses it, too.
-EXCESS = 1.5
-#: A velocity that has been refused for so long contradicts the state [s].
-REFUSED_S = 1.0
-#: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
-HEARD_S, VELOCITY_SD = 1.0, 0.1
 
 
 class AccelerometerLevel(NamedTuple):
@@ -68,7 +57,7 @@ class AccelerometerLevel(NamedTuple):
     @property
     def knows_better(self) -> bool:
         """Whether the state's tilt is not known, but here it is; or it is contradicted."""
-        return self.sd > max(SURE_SD, math.sqrt(self.variance)) or self.doubt > LIMIT
+        return self.sd > max(settings.SURE_SD, math.sqrt(self.variance)) or self.doubt > settings.TILT_LIMIT
 
 
 def after_fault(filter: FilterState) -> Iterator[Action]:
@@ -96,7 +85,7 @@ def tilted(filter: FilterState, channel: Channel, time_s: float) -> bool:
         Whose reading has just been refused.
     time_s : float
     """
-    if not channel.moves or not filter.inertial or not time_s - channel.faults.rejected_since_s >= REFUSED_S:
+    if not channel.moves or not filter.inertial or not time_s - channel.faults.rejected_since_s >= settings.REFUSED_S:
         return False
     level = _level(filter)
     return level is not None and level.knows_better
@@ -121,7 +110,7 @@ def set_anew(filter: FilterState) -> Iterator[Action]:
         velocity = velocity + off
         M[range(3, 6), range(3, 6)] = 0.0
         attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
-        N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
+        N[range(3, 6), range(3, 6)] = settings.VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
         if channel.faults.way is None:  # whose way nobody has kept
             N[:3, :3] = np.outer(off, off) * (memory.time_s - channel.faults.refused_from_s) ** 2
         else:
@@ -183,7 +172,11 @@ def _bound(filter: FilterState) -> Iterator[Action]:
 def _tells_tilt(channel: Channel, now_s: float) -> bool:
     """Whether a sensor that reads roll and pitch agrees with the state, and has been used lately."""
     memory, instrument = channel.faults, channel.sensor.observes.north is not None and channel.axes > 1
-    return instrument and memory.agrees and now_s - channel.memory.used_s < max(HEARD_S, 2.0 * channel.period_s)
+    return (
+        instrument
+        and memory.agrees
+        and now_s - channel.memory.used_s < max(settings.TILT_HEARD_S, 2.0 * channel.period_s)
+    )
 
 
 def _level(filter: FilterState) -> AccelerometerLevel | None:
@@ -204,7 +197,7 @@ def _level(filter: FilterState) -> AccelerometerLevel | None:
     k = C.shape[1]
     force = watch[3:6, kernel.MEAN] - C @ memory.x[:k]
     gravity, size = strapdown.gravity(memory.nav[0], memory.nav[2]), float(np.linalg.norm(force))
-    if not abs(size - gravity) < EXCESS:
+    if not abs(size - gravity) < settings.EXCESS:
         return None
     down = state.C_nb @ (-force / size)
     angle, across = math.atan2(math.hypot(down[0], down[1]), down[2]), math.hypot(down[0], down[1])
@@ -224,7 +217,7 @@ def _refused_velocity(filter: FilterState) -> tuple[Array, Channel] | None:
     for channel in filter.channels.values():
         memory, now_s = channel.faults, filter.memory.time_s
         refused = channel.moves and not channel.faults.set_aside and not math.isnan(memory.rejected_since_s)
-        if refused and now_s - channel.memory.last_s < HEARD_S:
+        if refused and now_s - channel.memory.last_s < settings.TILT_HEARD_S:
             residual = ground_velocity.components(channel, full_residual(filter, channel))
             seen = np.isfinite(residual)
             N = ground_velocity.components(channel, channel.near)[seen, 3:6]
