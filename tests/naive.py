@@ -2011,12 +2011,27 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
+    if spot[34]:
+        fault_states(bench[spot[34] :], z, nav, x, start, spot[31], C, near, res)
     believed = bench[limits + a + 1 : limits + 2 * a + 1]
     squares = (C @ x[start - 9 : start - 9 + errors]) ** 2
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
     used = mem[places_[8] + 2]
     mem[places_[9] - 1] = count if calm and used else mem[places_[9] - 1] + count
     correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
+
+
+def fault_states(table, z, nav, x, start, north, C, near, res):
+    scaled, deviating = table[:2].astype(int)
+    for axis, state, at_m_s in table[2:][: 3 * scaled].reshape(-1, 3):
+        axis, state = int(axis), int(state)
+        C[axis, state] = np.nan_to_num(z[axis] - res[axis]) / at_m_s
+        near[axis, :9] *= 1.0 + x[start - 9 + state] / at_m_s
+    for state, of_rad in table[2 + 3 * scaled :][: 2 * deviating].reshape(-1, 2):
+        C[north, int(state)] = np.cos(np.arctan2(nav[9], nav[6]) - of_rad)
+    if north >= 0:
+        error = C[north] @ x[start - 9 :][: C.shape[1]]
+        res[north] = _half_turn(res[north] - error) + error
 
 
 def readmission(bench, spot, P, nav, x, drv, Cr, C, R):

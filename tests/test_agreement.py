@@ -13,6 +13,7 @@ import navfilter as nf
 from navfilter.faults import policy, refusals, sensor_bias
 from navfilter.faults.refusals import RejectionRun
 from navfilter.foundation.state_values import differences
+from navfilter.kernels import batch
 from navfilter.models.fault_bias import (
     FaultBias,
     FaultScale,
@@ -174,21 +175,30 @@ def test_a_dvl_whose_scale_jumps_leaves_the_velocity_alone():
     assert nav.health.sensors["dvl"].condition == "jumped"
 
 
+def read(filter, channel, z, nav, x):
+    """Jacobian of the fault's states as the kernel has it for a reading."""
+    table = filter.bench[channel.spot[batch.FAULTS] :]
+    batch.fault_states(
+        table, np.array(z), nav, x, channel.group.start, channel.spot[batch.NORTH], channel.C, channel.near, channel.res
+    )
+
+
 def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
     opened = with_offsets((nf.White(sd=0.01),) * 3, 0.1, at_m_s=2.0)
     assert opened[0] == nf.White(sd=0.01) + FaultBias(start_sd=0.1) + FaultScale(start_sd=0.1, at_m_s=2.0)
     (axis, state), at_m_s = proportions(opened, 0.25)
     assert axis.tolist() == [0, 1, 2] and state.tolist() == [1, 3, 5] and at_m_s.tolist() == [2.0] * 3
     vehicle, mission = dive()
-    channel = nf.Navigator(vehicle.with_error(dvl=opened[0]), mission.start).filter.channels["dvl"]
+    filter = nf.Navigator(vehicle.with_error(dvl=opened[0]), mission.start).filter
+    channel = filter.channels["dvl"]
     x = np.zeros(channel.group.start - 9 + channel.group.size)
     x[channel.group.start - 9 + state] = [0.1, 0.0, 0.0]
     channel.near[:], channel.res[:] = 1.0, 0.0
-    channel.in_proportion(np.array([1.0, 0.5, 0.0]), mission.start.state.pack(), x)
+    read(filter, channel, [1.0, 0.5, 0.0], mission.start.state.pack(), x)
     # 5 % at any speed: half of 0.1 m/s at 1 m/s
     np.testing.assert_allclose(channel.C @ x[channel.group.start - 9 :][:6], [0.05, 0.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(channel.near[:, 3], [1.05, 1.0, 1.0], atol=1e-15)
-    channel.in_proportion(np.zeros(3), mission.start.state.pack(), x)
+    read(filter, channel, [0.0, 0.0, 0.0], mission.start.state.pack(), x)
     assert not (channel.C @ x[channel.group.start - 9 :][:6]).any()
 
 

@@ -11,7 +11,7 @@ from navfilter.commands import cli
 from navfilter.commands.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.kernels.compiling import progress
-from navfilter.playback.replay import warm_up
+from navfilter.playback.warm_up import warm_up
 
 HANGS_S = 600.0  # far beyond what a command takes here
 COMMANDS = ("demo", "replay", "run", "compare", "montecarlo", "identify", "simulate", "check", "vehicle", "warmup")

@@ -62,12 +62,13 @@ def test_a_vehicle_s_own_warm_up_hears_each_of_its_sensors(scenario):
 HELPED = """
 import pathlib, sys
 import navfilter as nf
-from navfilter import compilation, warming
+from navfilter.kernels.compiling import progress
+from navfilter.playback import warm_up as warming
 warming._cores = lambda: 2
 warming._warm_filter = lambda *_: None  # what the second process does is enough
 nf.warm_up(nf.Vehicle(imu=nf.Imu(rate_hz=10.0), sensors={"depth": nf.Depth(error=nf.LearnedArma())}), progress=True)
-from navfilter.kernels import channel
-print(compilation.show_compilation().done, sum(channel.channel_filter.stats.cache_hits.values()))
+from navfilter.kernels import arma_likelihood
+print(progress.show_compilation().done, sum(arma_likelihood.channel_filter.stats.cache_hits.values()))
 """
 
 
@@ -99,12 +100,12 @@ def test_what_is_compiled_ahead_is_what_is_called_live():
 
 def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
     if not numba.config.DISABLE_JIT:
-        assert progress.kernel_count("listen") == 7
+        assert progress.kernel_count("open_loop_residual") == 7
 
 
 GRAM = """
 import numpy as np
-from navfilter.kernels import fit
+from navfilter.kernels import arma_fit as fit
 G, x = np.zeros((3, 3)), np.arange(9.0) ** 2
 fit.shift_gram(x, x[::-1].copy(), 1, G)
 print(G.sum(), *(sum(kernel.stats.cache_hits.values()) for kernel in (fit.shift_gram, fit.lag_products)))
@@ -131,16 +132,17 @@ def test_a_kernel_that_was_kept_finds_one_apart_that_was_not(tmp_path):
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
 def test_what_is_linked_from_the_cache_brings_what_it_calls_apart(tmp_path):
-    """`turn_velocity` holds `_add_turned`, which calls `_follow` by its symbol. Where that had been compiled by another
+    """`turn_velocity` holds `add_turned`, which calls `mirror_rows` by its symbol. Where that had been compiled by another
     process, as after a first start that was broken off, numba kept nothing of it, and the next start ended in LLVM.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     part = "consistency.add_turned.compile((addresses._TABLE, types.int64, types.int64, *(types.float64,) * 3))"
-    whole = "consistency.turn_velocity.compile(addresses.TURN)"
+    whole = "consistency.turn_velocity.compile((addresses._TABLE, addresses._ROW, types.UniTuple(types.float64, 3), addresses._ROW))"
     call = "P = np.eye(12); consistency.turn_velocity(P, np.ones(17), (0.0, 0.0, 0.0), np.zeros(3)); print(P[3, 7])"
     for step in (part, whole, call):
         program = (
-            f"import numpy as np; from numba import types; from navfilter.kernels import addresses, kalman; {step}"
+            f"import numpy as np; from numba import types; from navfilter.kernels import consistency; "
+            f"from navfilter.kernels.compiling import addresses; {step}"
         )
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
         assert done.returncode == 0, done.stderr
@@ -180,7 +182,8 @@ def test_with_another_numba_kernels_are_compiled_by_numba_itself(tmp_path):
     program = """
 import numba, numpy as np
 numba.__version__ = "0.99.0"
-from navfilter.kernels import decorators, kalman
+from navfilter.kernels import kalman
+from navfilter.kernels.compiling import decorators
 W = np.zeros((4, 2, 2))
 kalman.power(np.array([[0.9, 0.1], [0.0, 0.8]]), 0.1 * np.eye(2), 3, W)
 print(decorators.KNOWN, type(kalman.power).__module__.split(".")[0], *W[0].ravel().round(12).tolist())

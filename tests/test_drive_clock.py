@@ -51,7 +51,7 @@ def test_a_clock_that_was_set_alone_costs_nothing(dive, by_s):
     # those that come between two samples
     assert sum(outcome.status == "waiting" for outcome in outcomes) <= len(vehicle.sensors)
     assert sum(watch.outcomes["used"] for watch in nav.sensor_monitors.values()) == sum(
-        watch.outcomes["used"] for watch in best.watches.values()
+        watch.outcomes["used"] for watch in best.sensor_monitors.values()
     )
 
 

@@ -271,7 +271,7 @@ def test_the_first_models_come_after_half_a_minute():
     early = short_run(LearningSchedule.EARLY_S[0] - 1.0)
     for name in TRUE:
         rate_hz = described("tactical").sensors[name].rate_hz
-        assert all(abs(series.value.size - 29.0 * rate_hz) <= 2 for series in early.heard(name))
+        assert all(abs(series.value.size - 29.0 * rate_hz) <= 2 for series in early.residuals(name))
     assert early.counts["adopted"] == 0
     # 30 s at 8 Hz are 240 readings of the compass; 120 of the others, of which the newest may still change
     # the answer is taken 2 s later, and the beginning done again 0.6 s after that

@@ -11,6 +11,7 @@ from faults_run import dived, truth_at
 from feeding import DRIVE
 
 import navfilter as nf
+from navfilter.kernels import batch
 from navfilter.models.fault_bias import FaultBias, deviations, offset_states, with_offsets
 from navfilter.simulation.scenarios import COMPASS, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -167,10 +168,12 @@ def test_a_compass_near_iron_deviates_with_the_heading():
     assert len(offset_states(near, 0.125)) == 3 and of_rad.tolist() == [0.0, 0.5 * math.pi]
     assert len(offset_states(other, 0.125)) == 1 and not deviations(other, 0.125)[0].size
     vehicle = survey_vehicle().with_error(compass=near[0])
-    channel = nf.Navigator(vehicle, nf.Start(latitude_deg=26.0, longitude_deg=-80.0)).filter.channels["compass"]
+    filter = nf.Navigator(vehicle, nf.Start(latitude_deg=26.0, longitude_deg=-80.0)).filter
+    channel = filter.channels["compass"]
     nav, x = np.zeros(17), np.zeros(channel.group.start + channel.group.size)
     nav[6], nav[9] = math.cos(1.0), math.sin(1.0)
-    channel.in_proportion(np.zeros(1), nav, x)
+    table, at = filter.bench[channel.spot[batch.FAULTS] :], channel.group.start
+    batch.fault_states(table, np.zeros(1), nav, x, at, channel.spot[batch.NORTH], channel.C, channel.near, channel.res)
     np.testing.assert_allclose(channel.C[0, states], [math.cos(1.0), math.sin(1.0)], atol=1e-15)
 
 

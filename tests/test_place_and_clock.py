@@ -229,13 +229,16 @@ def test_what_no_sensor_has_is_refused(build, message):
         build()
 
 
+def shifted(z, nav, rate, par, cfg, H, res):
+    """Not marked for numba: that is done for it."""
+    measurement.position(z, nav, rate, par, cfg[2:], H, res)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Foreign(nf.Position):
     """A kind of a user's own, whose constants do not begin with the lever arm."""
 
-    kernel: ClassVar = staticmethod(
-        lambda z, nav, rate, par, cfg, H, res: measurement.position(z, nav, rate, par, cfg[2:], H, res)
-    )
+    kernel: ClassVar = staticmethod(shifted)
 
     def constants(self, start):
         """Two numbers more."""

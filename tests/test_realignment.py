@@ -167,7 +167,7 @@ def filter_at_rest(roll_deg, pitch_deg, sd_deg=0.2):
 def test_roll_and_pitch_are_set_by_the_level(roll_deg, pitch_deg):
     nav, C = filter_at_rest(roll_deg, pitch_deg)
     heading_before = nav.state.roll_pitch_heading[2]
-    realignment.set_anew(nav.filter, nav.on_event)
+    nav.filter.act(realignment.set_anew(nav.filter), nav.on_event)
     apart = NavState.unpack(0.0, nav.filter.nav).C_nb[2] @ C[2]
     assert math.degrees(math.acos(min(apart, 1.0))) < 0.6
     sd = np.degrees(np.sqrt(np.diag(nav.filter.P)[6:8]))
@@ -200,10 +200,10 @@ def test_a_level_that_is_none_sets_nothing():
     nav, _ = filter_at_rest(10.0, 0.0)
     watch = nav.filter.memory.monitor.imu
     watch[3:6, kernel.MEAN] *= 1.3  # more than gravity
-    realignment.set_anew(nav.filter, nav.on_event)
+    nav.filter.act(realignment.set_anew(nav.filter), nav.on_event)
     watch[3:6, kernel.MEAN] /= 1.3
     watch[4, kernel.HEEDED] = kernel.STUCK
-    realignment.set_anew(nav.filter, nav.on_event)
+    nav.filter.act(realignment.set_anew(nav.filter), nav.on_event)
     assert nav.counts["realigned"] == 0
 
 

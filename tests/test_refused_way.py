@@ -14,7 +14,7 @@ from feeding import DRIVE, events_of, once_a_second
 import navfilter as nf
 from navfilter.faults import alternative_path, innovation_gate
 from navfilter.faults import settings as fault_settings
-from navfilter.faults.alternative_path import AlternativePath, believable, followed, since_fix, with_rejected
+from navfilter.faults.alternative_path import AlternativePath, believable, followed, follows, since_fix, with_rejected
 from navfilter.faults.imu import acceleration
 from navfilter.faults.refusals import RejectionRun
 from navfilter.simulation.faults import Faults
@@ -104,7 +104,9 @@ def test_where_the_state_was_wrong_the_position_follows(refusing):
     filter.memory.P[8, 8] = 0.02**2
     channel.faults.way = AlternativePath(10.0, 30.0, 40.0, 60.0)
     before = filter.memory.nav[:3].copy()
-    variance = followed(filter, channel)
+    prior = filter.memory.P[:2, :2].copy()
+    filter.act(followed(filter, channel), lambda _: None)
+    variance = filter.memory.P[:2, :2] - prior
     moved = (filter.memory.nav[:3] - before) * [RADIUS_M, RADIUS_M * math.cos(before[0]), 1.0]
     np.testing.assert_allclose(moved, [30.0, 40.0, 0.0], rtol=5e-3)
     # a tenth of 50 m along it; across it 0.02 rad beside that
@@ -112,7 +114,7 @@ def test_where_the_state_was_wrong_the_position_follows(refusing):
     assert along @ variance @ along == pytest.approx(25.0) and across @ variance @ across == pytest.approx(26.0)
     # once; the bound goes on reckoning with it
     assert channel.faults.way == AlternativePath(10.0, 0.0, 0.0, 60.0)
-    np.testing.assert_array_equal(followed(filter, channel), np.zeros((2, 2)))
+    np.testing.assert_array_equal(follows(filter, channel), np.zeros((2, 2)))
 
 
 def fly(seed, mems, fault):

@@ -65,7 +65,7 @@ def instrument(server, monkeypatch):
     monkeypatch.setattr(Instrument, "AGAIN_S", 0.01)
     monkeypatch.setattr(Instrument, "LOOK_S", 0.01)
     one = Instrument(waterlinked(f"{server.url}?clock=instrument", VEHICLE), lambda: None)
-    one.readings, one.on_event = [], []
+    one.readings, one.told = [], []
     one.start()
     yield one
     one.close()

@@ -1,4 +1,4 @@
-"""Constants of the fault rules stand in one file, each with its unit and origin; those by judgement only become fewer."""
+"""Constants of the fault rules stand in one file, each with unit and origin; chosen ones only become fewer."""
 
 import ast
 import re

@@ -31,7 +31,6 @@ from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
-from navfilter.foundation.arguments import needs
 from navfilter.kernels import batch, consistency, kalman, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
@@ -92,9 +91,6 @@ class Filter:
     AHEAD_S = 1.0
 
     def __init__(self, vehicle: Vehicle, start: Start, monitor: Monitor, tape: Tape | None = None) -> None:
-        needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
-        needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
-        needs("Navigator: tape", tape, Tape, type(None))
         self.vehicle = vehicle = vehicle.at(start)
         self.start, self.monitor, self.tape, drive = start, monitor, tape, vehicle.drive
         self.steps, self.hold, self.period_s = drive.steps, drive.hold, drive.period_s

@@ -37,7 +37,7 @@ UNSURE_HEADING = 0.01
 # verdict, and how long the record for the smoother is; whether a reading of which components are left out is Python's
 # to judge; from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none);
 # whether these parameters may be hidden by the state's error; whether nobody wants to know its transitions; where the
-# table of its fault states stands (0: none), see `_fault_states`. One more row is for the drive: dimensions of a fold,
+# table of its fault states stands (0: none), see `fault_states`. One more row is for the drive: dimensions of a fold,
 # addresses of its steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest
 # record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
@@ -179,7 +179,7 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _fault_states(table, z, nav, x, start, north, C, near, res):
+def fault_states(table, z, nav, x, start, north, C, near, res):
     """Let errors in proportion to the speed, and those that go with the heading, be those of a reading as foretold.
 
     table: how many of each there are; then, of each error in proportion, its axis, its state and the speed at which
@@ -280,7 +280,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     moves = spot[MOVES] != 0 and consistency.limit_unread_slopes(P, near, res, start + errors)
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
     if spot[FAULTS]:
-        _fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res)
+        fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res)
     if spot[BEND]:
         addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
     limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True

@@ -19,6 +19,7 @@ from navfilter.filter.filter_memory import Errors
 from navfilter.filter.imu_intake import samples_of
 from navfilter.filter.model_change import Change
 from navfilter.filter.records import Tape
+from navfilter.foundation.arguments import needs
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import ChannelSeries
@@ -92,7 +93,10 @@ class Navigator(NavigatorStatus):
         *,
         threads: bool = True,
     ) -> None:
-        if isinstance(vehicle, Vehicle) and vehicle.lanes():
+        needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
+        needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
+        needs("Navigator: tape", tape, Tape, type(None))
+        if vehicle.lanes():
             raise ValueError("this vehicle has lanes: use LaneNavigator, or one of vehicle.lanes().")
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, FaultMonitor(vehicle), tape)

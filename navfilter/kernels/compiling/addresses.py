@@ -7,6 +7,7 @@ A kernel that is called by its name is compiled into its caller again. By its ad
 from collections.abc import Callable
 from typing import Any
 
+import numba
 from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -105,10 +106,15 @@ def address(kernel: Callable[..., None], signature: tuple[Any, ...]) -> int:
     if _settings.DISABLE_JIT:
         at = len(_KNOWN) + 1
     else:
-        compiled = kernel.get_compile_result(types.void(*signature))  # type: ignore[attr-defined]
+        compiled = _dispatcher(kernel).get_compile_result(types.void(*signature))
         at = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
     _AT[kernel], _KNOWN[at] = (signature, at), kernel
     return at
+
+
+def _dispatcher(kernel: Callable[..., None]) -> Any:
+    """A user's own kernel may be a function that is not marked for numba yet."""
+    return kernel if hasattr(kernel, "get_compile_result") else numba.njit(kernel)
 
 
 def named(at: int) -> Callable[..., None]:
