@@ -2,7 +2,7 @@
 
 Traces Python calls of the package (a compiled kernel counts as one) while single inputs of a survey are taken live,
 with and without learning: an ordinary sample, an ordinary reading of the compass, one with a standard deviation of its
-own, and one that its gate refuses. No other software is traced: the figures are for comparing trees of this one.
+own, and one that its gate refuses. There is no other software in it: the figures are for comparing trees of this one.
 """
 
 from __future__ import annotations

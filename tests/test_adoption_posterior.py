@@ -42,7 +42,7 @@ class Changing(Capture):
             self.sizes.append(M.shape)
             follow(filter, M, N)
 
-        monkeypatch.setattr(Filter, "_change", change)
+        monkeypatch.setattr(Filter, "_transform", change)
 
 
 def learnt(ar=(), ma=(), sd=1.0, slow=None):

@@ -132,12 +132,13 @@ def test_a_kernel_that_was_kept_finds_one_apart_that_was_not(tmp_path):
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
 def test_what_is_linked_from_the_cache_brings_what_it_calls_apart(tmp_path):
-    """`turn_velocity` holds `add_turned`, which calls `mirror_rows` by its symbol. Where that had been compiled by another
+    """`turn_velocity` holds `add_turned`, which calls `mirror_rows` by its symbol. Where that was compiled by another
     process, as after a first start that was broken off, numba kept nothing of it, and the next start ended in LLVM.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     part = "consistency.add_turned.compile((addresses._TABLE, types.int64, types.int64, *(types.float64,) * 3))"
-    whole = "consistency.turn_velocity.compile((addresses._TABLE, addresses._ROW, types.UniTuple(types.float64, 3), addresses._ROW))"
+    given = "addresses._TABLE, addresses._ROW, types.UniTuple(types.float64, 3), addresses._ROW"
+    whole = f"consistency.turn_velocity.compile(({given}))"
     call = "P = np.eye(12); consistency.turn_velocity(P, np.ones(17), (0.0, 0.0, 0.0), np.zeros(3)); print(P[3, 7])"
     for step in (part, whole, call):
         program = (

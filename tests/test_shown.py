@@ -126,7 +126,7 @@ def results():
     front.update_many(series)
     values = [track, mission, track.errors(mission.truth), *mission.streams.values(), *track.residuals.values()]
     values += [one, several, one.state, several.health, nf.Tape(), bank, recursive, front]
-    return [*values, nf.fit_arma(series, 1, 1), nf.select_order(series, 1, 1), one.heard("compass")[0]]
+    return [*values, nf.fit_arma(series, 1, 1), nf.select_order(series, 1, 1), one.residuals("compass")[0]]
 
 
 def test_results_are_shown_in_a_few_lines():

@@ -83,7 +83,7 @@ def rivals(
     series: Series | None = None,
 ) -> dict[str, Vehicle]:
     """Several rivals at once, see `rival`; the series that they are fitted to are made only once, or not at all where
-    they are given (see `navfilter.playback.replay_heard`).
+    they are given (see `navfilter.playback.replay.replay_heard`).
     """
     unknown = [name for name in names if name not in MODELS]
     if unknown:

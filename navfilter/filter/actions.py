@@ -135,7 +135,7 @@ class AxisCondition(NamedTuple):
 
 
 class Count(NamedTuple):
-    """Count an irregularity, see `navfilter.models.health.Health.drive`."""
+    """Count an irregularity, see `navfilter.models.health.Health`."""
 
     name: str
     times: int = 1

@@ -521,7 +521,7 @@ def _uses_part(note, a):
 
 @njit(cache=True, **UNCOUNTED)
 def _note_arrival(watch, time_s, same):
-    """Note that a reading arrives, as `navfilter.faults.sensor_monitor.SensorMonitor.sees` does; same: with the
+    """Note that a reading arrives, as `navfilter.faults.sensor_monitor.SensorMonitor` does; same: with the
     value before.
     """
     if same:
@@ -532,7 +532,7 @@ def _note_arrival(watch, time_s, same):
 
 @njit(cache=True, **UNCOUNTED)
 def _note_used(watch, time_s, nis, dof, nav):
-    """Note that a reading was used, as `navfilter.faults.sensor_monitor.SensorMonitor.note` does."""
+    """Note that a reading was used, as `navfilter.faults.sensor_monitor.SensorMonitor` does."""
     watch[USED] += 1.0
     watch[LATITUDE], watch[LONGITUDE] = nav[0], nav[1]
     watch[HEARD_S], watch[USED_S] = max(watch[HEARD_S], time_s), max(watch[USED_S], time_s)

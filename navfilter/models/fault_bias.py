@@ -143,7 +143,7 @@ def with_offsets(
     --------
     >>> from navfilter import White
     >>> str(with_offsets((White(sd=0.1),), 5.0)[0])
-    'White(sd=0.1) + Offset(start_sd=5.0)'
+    'White(sd=0.1) + FaultBias(start_sd=5.0)'
     """
     plain = tuple(_plain(model) for model in models)
     if not size:

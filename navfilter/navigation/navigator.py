@@ -315,7 +315,7 @@ class Navigator(NavigatorStatus):
             self.history.start_here()
 
     def record_residuals(self, name: str, capacity: int | None = None) -> None:
-        """Note the open-loop residuals of a sensor, see `navfilter.learning.schedule.LearningSchedule.listen`."""
+        """Note the open-loop residuals of a sensor, see `navfilter.learning.schedule.LearningSchedule.on_event`."""
         self.change_count += 1
         self.learning.record_residuals(name, capacity)
 

@@ -7,7 +7,7 @@ whatever goes wrong with one of them is told and counted.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,7 +16,7 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.service.disk import Disk
 from navfilter.service.instruments import Instrument
 from navfilter.service.kernel_cache import warm
-from navfilter.service.log import LOG_FILE, log_items, prepare_log, remade_log, run_note
+from navfilter.service.log import LOG_FILE, log_items, logged_options, prepare_log, remade_log, run_note
 from navfilter.service.output import Outlet
 from navfilter.service.protocol import Lines, event_line
 from navfilter.service.resuming import earlier_run
@@ -25,7 +25,7 @@ from navfilter.service.setup import Service
 from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
 
-__all__ = ["ORDERED", "UNASKED", "Tally", "run"]
+__all__ = ["ORDERED", "UNASKED", "Tally", "replay_log", "run"]
 
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1
@@ -359,3 +359,50 @@ class Tally:
         """What has been gathered."""
         counts, self._counts = self._counts, {}
         return [BadLine.several(kind, count) for kind, count in counts.items()]
+
+
+_STDOUT = 1
+
+
+def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Callable[[str], None]) -> int:
+    """Feed a log again: the output of the run that wrote it, bit for bit.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    folder : Path
+    rate_hz : float, optional
+        Another rate of states than that of the run.
+    say : callable
+        Takes a line for the operator.
+
+    Returns
+    -------
+    int
+        0; 1 when the reader of the output has gone before its end.
+    """
+    path = folder / LOG_FILE
+    options = logged_options(path)
+    stop = StopSignal()
+    outlet = Outlet(_STDOUT, wait=True)
+    try:
+        with stop.at_once():
+            warm(say, vehicle)
+            session, last = Session(vehicle, options, outlet.put), None
+            for last in log_items(path, vehicle):
+                if rate_hz is not None and isinstance(last, Note) and last.event == "run":
+                    last = last._replace(fields={**last.fields, "rate_hz": rate_hz})
+                try:
+                    session.feed(last)
+                except Exception as error:  # as in the run itself
+                    say(f"internal-error: {type(error).__name__}: {error}")
+                if outlet.gone:
+                    return 1
+            if not (isinstance(last, Note) and last.event == "stop"):
+                session.stop()
+            return int(not outlet.close())
+    except Stopped:
+        outlet.close(0.5)
+        return 0
+    finally:
+        stop.restore()

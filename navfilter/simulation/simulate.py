@@ -1,6 +1,6 @@
 """Simulated missions: exact motion, seen by the sensors of a vehicle with all their errors, recorded with the truth.
 
-The motion is given and every error is drawn here; what the sensors make of them is in `navfilter.simulation.sensors`.
+The motion is given and every error is drawn here.
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
     --------
     >>> ramp = ()
     >>> for k in range(9):
-    ...     ramp = with_refused(ramp, 0.25 * k, np.array([0.05 * k, 0.001 * (-1) ** k]), np.array([1.5, 0.0, 0.0]))
+    ...     ramp = add_to_line(ramp, 0.25 * k, np.array([0.05 * k, 0.001 * (-1) ** k]), np.array([1.5, 0.0, 0.0]))
     >>> round(ramp_of(ramp, np.full(2, 1e-4)), 2)
     0.2
     """

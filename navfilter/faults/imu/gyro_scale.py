@@ -121,8 +121,8 @@ def wrong_since(steps: tuple[tuple[float, ...], ...]) -> float | None:
     Examples
     --------
     >>> noise = [0.004, -0.002, 0.001, -0.005, 0.003, 0.0]
-    >>> contradicted(tuple((1.0 * k, 0.1 + e, 0.1, 2e-5) for k, e in enumerate(noise)))
-    >>> contradicted(tuple((1.0 * k, 0.1 + e, -0.1, 2e-5) for k, e in enumerate(noise)))
+    >>> wrong_since(tuple((1.0 * k, 0.1 + e, 0.1, 2e-5) for k, e in enumerate(noise)))
+    >>> wrong_since(tuple((1.0 * k, 0.1 + e, -0.1, 2e-5) for k, e in enumerate(noise)))
     0.0
     """
     best, since_s = settings.GYRO_LIMIT, None

@@ -59,7 +59,7 @@ CORRECTION = (
     *(_ROW, _PLACES, _TABLE, _ROW, _ROW, _TABLE, _ROW, _TABLE, _TABLE, _ROW, _ROW),
     *(types.int64, types.float64),
 )
-#: What Python hands to `navfilter.kernels.batch.stretch`, for those who compile it ahead.
+#: What Python hands to `navfilter.kernels.batch.run_batch`, for those who compile it ahead.
 _READINGS = types.Array(types.boolean, 1, "C")
 _MATRIX_OF_PLACES = types.Array(types.int64, 2, "C")
 STRETCH = (
@@ -73,18 +73,18 @@ STRETCH = (
     types.Tuple((_ROW, _PLACES, _PLACES, _READINGS, _READINGS, _TABLE, _TABLE, _TABLE)),
     types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES, _TABLE)),
 )
-#: The same for `navfilter.kernels.batch.prompt`.
+#: The same for `navfilter.kernels.batch.correct_reading`.
 PROMPT = (
     *(_MATRIX_OF_PLACES, _TABLE, _ROW, _ROW),
     *(types.boolean, types.float64, types.float64, *(types.int64,) * 3),
 )
-#: The same for `navfilter.kernels.batch.sample`.
+#: The same for `navfilter.kernels.batch.propagate_sample`.
 SAMPLE = (_MATRIX_OF_PLACES, _TABLE, types.float64, types.float64, types.int64)
 #: The same for `navfilter.kernels.open_loop_residual.is_within`.
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
-#: The same for `navfilter.kernels.open_loop_residual.told_since`.
+#: The same for `navfilter.kernels.open_loop_residual.information_since`.
 TOLD_SINCE = (_ROW, _TABLE, _PLACES, _ROW, _TABLE, types.float64, _TABLE, _TABLE)
-#: The same for `navfilter.kernels.noise_scale.heard`.
+#: The same for `navfilter.kernels.noise_scale.update_scale`.
 SCATTERED = (
     *(_ROW, _ROW, _ROW, types.int64, types.int64, _TABLE, types.int64, _TABLE, _ROW, _TABLE),
     *(types.float64, types.boolean),
