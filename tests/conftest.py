@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from tiers import listed
 
 RECORDINGS = Path(__file__).parent / "recordings"
 
@@ -27,6 +28,15 @@ def pytest_configure(config: pytest.Config) -> None:
         from navfilter.commands.console import compile_first
 
         compile_first(quiet=False)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that `tiers` lists are slow ones."""
+    waiting = listed()
+    for item in items:
+        if item.nodeid.removeprefix("tests/") in waiting:
+            item.add_marker(pytest.mark.slow)
 
 
 def data_root() -> Path:
