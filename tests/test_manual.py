@@ -224,9 +224,9 @@ PACKAGE = ROOT / "navfilter"
 
 def the_map():
     """Folders of the package that the map of "How it is built" names."""
-    tree = re.search(
-        r"^navfilter/\n(.*?)^tests/", section("how-it-is-built.md", "The rooms"), flags=re.M | re.S
-    ).group(1)
+    tree = re.search(r"^navfilter/\n(.*?)^tests/", section("how-it-is-built.md", "The rooms"), flags=re.M | re.S).group(
+        1
+    )
     return [re.findall(r"(\w+)/", re.split(r" {2,}", line.strip())[0]) for line in tree.splitlines()]
 
 
@@ -253,13 +253,17 @@ def test_who_acts_stands_in_the_file_that_is_named():
         source = (PACKAGE / path).read_text(encoding="utf-8")
         for name in who.split("."):
             assert re.search(rf"^ *(class|def) {name}\b", source, flags=re.MULTILINE), f"{who} does not stand in {path}"
-    named = set(re.findall(r"`((?:filter|faults|learning|navigation|kernels)/[\w/]+\.py)`", text_of("how-it-is-built.md")))
+    named = set(
+        re.findall(r"`((?:filter|faults|learning|navigation|kernels)/[\w/]+\.py)`", text_of("how-it-is-built.md"))
+    )
     assert {path for path in named if not (PACKAGE / path).exists()} == set()
 
 
 def test_the_lines_that_join_filter_and_learning_are_the_codes_own():
     shown = re.search(r"^```python\n(.*?)^```", text_of("how-it-is-built.md"), flags=re.M | re.S).group(1)
-    lines = [line.strip() for line in (PACKAGE / "navigation" / "navigator.py").read_text(encoding="utf-8").splitlines()]
+    lines = [
+        line.strip() for line in (PACKAGE / "navigation" / "navigator.py").read_text(encoding="utf-8").splitlines()
+    ]
     first, *rest = [line.strip() for line in shown.splitlines()]
     assert [first, *rest] in [lines[i : i + 1 + len(rest)] for i, line in enumerate(lines) if line == first]
 
