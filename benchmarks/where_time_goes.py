@@ -19,7 +19,7 @@ from harness import CPU, DEG, Options, Table, flag, hour, main, quick
 import navfilter as nf
 
 #: Those of `measurement` and `strapdown` choose the way that a replay takes, and stay as they are.
-FILES = ("kalman", "stretch", "listen", "channel", "fit")
+FILES = ("kalman", "batch", "open_loop_residual", "arma_likelihood", "arma_fit")
 
 
 def timed_kernels() -> dict[str, list[float]]:

@@ -223,52 +223,47 @@ PACKAGE = ROOT / "navfilter"
 
 
 def the_map():
-    """What the map of "How it is built" names in the package: paths of modules, and folders."""
-    tree = re.search(
-        r"^navfilter/\n(.*?)^tests/", section("how-it-is-built.md", "Where everything stands"), flags=re.M | re.S
-    ).group(1)
-    room, modules, folders = "", set(), set()
-    for line in tree.splitlines():
-        names = re.split(r" {2,}", line.strip())[0].split()
-        if not line.startswith("    "):
-            room = next((name for name in names if name.endswith("/")), "")
-            folders |= {name.rstrip("/") for name in names if name.endswith("/")}
-        modules |= {(room if line.startswith("    ") else "") + name for name in names if name.endswith(".py")}
-    return modules, folders
+    """Folders of the package that the map of "How it is built" names."""
+    tree = re.search(r"^navfilter/\n(.*?)^tests/", section("how-it-is-built.md", "The rooms"), flags=re.M | re.S).group(
+        1
+    )
+    return [re.findall(r"(\w+)/", re.split(r" {2,}", line.strip())[0]) for line in tree.splitlines()]
 
 
-def test_everything_on_the_map_exists():
-    modules, folders = the_map()
-    assert {name for name in modules | folders if not (PACKAGE / name).exists()} == set()
+def test_the_map_has_every_room():
+    there = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
+    rooms = [room for line in the_map() for room in line]
+    assert set(rooms) == there and len(rooms) == len(there)
 
 
-def test_the_map_has_every_module():
-    """All modules of the root and of the two rooms that the page is about, and every folder."""
-    modules, folders = the_map()
-    there = {
-        path.relative_to(PACKAGE).as_posix()
-        for room in (".", "filter", "learning")
-        for path in (PACKAGE / room).glob("*.py")
-    }
-    assert there - modules - {"filter/__init__.py", "learning/__init__.py"} == set()
-    assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} - folders == set()
+def test_the_map_has_the_order_of_the_house():
+    """Its lines are the layers that the test of the house holds imports to."""
+    from test_house import LAYERS
+
+    floors = {room: i for i, rooms in enumerate(LAYERS) for room in rooms}
+    lines = [{floors[room] for room in line} for line in the_map()]
+    assert all(len(line) == 1 for line in lines) and lines == sorted(lines, key=min)
 
 
 def test_who_acts_stands_in_the_file_that_is_named():
-    """Each row of the way from a reading to a model and on to states, and every other path of the page."""
+    """Each row of the way of a reading, and every other path of the page."""
     rows = re.findall(r"^\| `([\w/]+\.py)` \| `([\w.]+)` \|", text_of("how-it-is-built.md"), flags=re.MULTILINE)
     assert len(rows) > 8
     for path, who in rows:
         source = (PACKAGE / path).read_text(encoding="utf-8")
         for name in who.split("."):
             assert re.search(rf"^ *(class|def) {name}\b", source, flags=re.MULTILINE), f"{who} does not stand in {path}"
-    named = set(re.findall(r"`((?:filter|learning|arma|kernels)/[\w/]+\.py)`", text_of("how-it-is-built.md")))
+    named = set(
+        re.findall(r"`((?:filter|faults|learning|navigation|kernels)/[\w/]+\.py)`", text_of("how-it-is-built.md"))
+    )
     assert {path for path in named if not (PACKAGE / path).exists()} == set()
 
 
 def test_the_lines_that_join_filter_and_learning_are_the_codes_own():
     shown = re.search(r"^```python\n(.*?)^```", text_of("how-it-is-built.md"), flags=re.M | re.S).group(1)
-    lines = [line.strip() for line in (PACKAGE / "navigator.py").read_text(encoding="utf-8").splitlines()]
+    lines = [
+        line.strip() for line in (PACKAGE / "navigation" / "navigator.py").read_text(encoding="utf-8").splitlines()
+    ]
     first, *rest = [line.strip() for line in shown.splitlines()]
     assert [first, *rest] in [lines[i : i + 1 + len(rest)] for i, line in enumerate(lines) if line == first]
 
