@@ -2123,6 +2123,10 @@ def excess_variance(bends, axis, latest, newest, white, work):
     return min(max(median_square((squares - slack)[telling]) - white, 1.5 * white), 300.0**2 * white)
 
 
+def is_worthless(kept, axes):
+    return bool(np.isinf(kept[6 + 2 * axes : 6 + 3 * axes]).any())
+
+
 def widen_variance(kept, facts, variance, axes):
     own = facts[4 + axes : 4 + 2 * axes] if np.isnan(variance[0]) else variance[:axes]
     facts[4 + 2 * axes : 4 + 3 * axes] = own + kept[6 + 2 * axes : 6 + 3 * axes]

@@ -18,7 +18,6 @@ SCRIPTS = {
     "arma": ("statsmodels", ("speed", "batch", "efficiency", "tracking", "order")),
     "arma_vs_gm1": ("Gauss-Markov", ()),
     "between_hops": ("resting model", ()),
-    "walk": ("no other software", ()),
     "bits": ("reference", ()),
     "calibrate_random": ("no other software", ("constants", "handling")),
     "campaign_scaling": ("no other software", ()),

@@ -1,6 +1,7 @@
 """A sensor that scatters by more than its error model says is weighed by what it scatters."""
 
 import math
+from dataclasses import replace
 
 import naive
 import numpy as np
@@ -14,10 +15,12 @@ from navfilter.faults.noise_scale import NoiseScale
 from navfilter.foundation.state_values import copied, differences
 from navfilter.kernels import noise_scale
 from navfilter.navigation import runner
-from navfilter.simulation.faults import Faults
+from navfilter.simulation.campaigns import stage
+from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.presets import mems_imu, tactical_imu
 from navfilter.simulation.scenarios import lawnmower
 from navfilter.simulation.simulate import simulate
+from navfilter.simulation.studies import scaled
 
 DEG, RADIUS_M = math.pi / 180.0, 6.37e6
 NOISE_S, MINUTE_S = FAULT_S + 10.0, 60.0
@@ -219,3 +222,32 @@ def test_a_gauge_with_five_times_the_noise_that_is_described_is_not_lost(unit, v
         # of 1 for an honest filter; it was 20 to 160, with metres, and half of the readings refused
         assert np.mean(down**2 / track.covariance[late, 2, 2]) < 4.0 and np.abs(down).max() < 0.15
         assert np.mean(track.residuals["depth"].used) > 0.9
+
+
+def test_noise_that_becomes_endless_within_a_batch_ends_the_batch(monkeypatch):
+    """A smooth compass error of complex roots, described as a shorter one: its noise scale becomes infinite in between.
+
+    The next reading of the batch was used with an infinite variance, and left a covariance of NaN.
+    """
+    vehicle, mission = smooth_compass()
+    together = nf.replay(vehicle, mission)
+    assert np.isfinite(together.covariance).all() and together.time_s[-1] > mission.duration_s - 1.0
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
+    np.testing.assert_array_equal(together.covariance, nf.replay(vehicle, mission).covariance)
+
+
+def smooth_compass(seed=0):
+    """A mission of half an hour up to where it happens, cut at both ends by fixes."""
+    r, w = math.exp(-1.0 / (120.0 * 8.0)), 2.0 * math.pi / (45.0 * 8.0)
+    ar = np.poly([r * np.exp(1j * w), r * np.exp(-1j * w), 0.6]).real[1:]
+    true = scaled(tuple(ar.tolist()), tuple(np.poly([0.9, -0.3])[1:].tolist()), 0.5 * DEG)
+    plain = stage("compass-gm1", motion="lawnmower", gyro="tactical", imu_rate_hz=50.0)
+    fault = replace(plain.faults["compass"], true_error=nf.White(sd=1e-9), quantisation=0.0)
+    mission = replace(plain, faults={**plain.faults, "compass": fault}).mission(20270000 + seed)
+    stream = mission.streams["compass"]
+    index = np.round((stream.time_s - stream.time_s[0]) * 8.0).astype(int)
+    value = stream.value.copy()
+    value[:, 0] += draw_error(true, 0.125, int(index[-1]) + 1, seed, "new/a")[index]
+    described = nf.White(sd=8.63784e-06) + nf.GaussMarkov(sd=0.00592797, tau_s=17.5677, order=2)
+    mission = replace(mission, streams={**mission.streams, "compass": replace(stream, value=value)})
+    return plain.vehicle.with_error(compass=described), mission.between(0.0, 1400.0)

@@ -115,6 +115,8 @@ def trust(
         What does not help at present, in words.
     """
     variances = P.diagonal().tolist()
+    if not all(variance >= 0.0 for variance in variances):  # NaN is none either
+        return Trust("lost", ("the covariance is that of no state any more: begin again from a start or a snapshot",))
     velocity_sd, heading_sd = math.sqrt(max(variances[3:6])), math.sqrt(variances[8])
     lost = []
     for what, value, most, unit in zip(("speed", "turn"), (speed, turn), limits, ("m/s", "rad/s"), strict=True):

@@ -830,6 +830,8 @@ def run_batch(
         scatters = kept.shape[0] > 0 and kept[i, noise_scale.WATCHED] != 0.0
         if (undone.size > 0 or scatters) and same[e] and stuck:
             return NEXT
+        if scatters and noise_scale.is_worthless(kept[i], plan[i, 0]):
+            return NEXT
         if end > begin:
             block, taken = samples[begin:end], stamps[begin:end]
             if begin >= cursor[STEPPED]:

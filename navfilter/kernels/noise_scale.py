@@ -172,6 +172,15 @@ def widen_variance(kept, facts, variance, axes):
         facts[BY_AXIS + 2 * axes + i] = own + kept[LAST + 2 * axes + i]
 
 
+@njit(cache=True, **UNCOUNTED)
+def is_worthless(kept, axes):
+    """Whether an axis scatters by so much that its readings say nothing: its excess is infinite."""
+    endless = False
+    for i in range(axes):
+        endless |= math.isinf(kept[LAST + 2 * axes + i])
+    return endless
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):

@@ -146,6 +146,7 @@ def _replayed(
     _run(nav, *drive, readings, progress)
     del readings  # of a day 45 MB, beside what the smoother needs
     track = forward_track(nav, mission.name, time.process_time() - began)
+    _check_covariance(track)
     revised = None if track.revised is None else replace(track.revised, epoch_utc_s=mission.epoch_utc_s)
     track = replace(track, epoch_utc_s=mission.epoch_utc_s, revised=revised)
     if tape.smoothable:
@@ -153,6 +154,17 @@ def _replayed(
         track = replace(smoothed_track(track, nav, began, progress), epoch_utc_s=mission.epoch_utc_s)
     tape.begin(nav.filter.layout)  # its memory is there for the next run
     return track, nav
+
+
+def _check_covariance(track: Track) -> None:
+    """Raise where the variances of the track are those of no state."""
+    variances = np.diagonal(track.covariance, axis1=1, axis2=2)
+    wrong = np.flatnonzero(~(np.all(variances >= 0.0, axis=1) & np.isfinite(track.covariance).all(axis=(1, 2))))
+    if wrong.size:
+        raise ValueError(
+            f"replay: from {track.time_s[wrong[0]]:.3f} s on the covariance is that of no state any more. Look at what"
+            " was read there; where a sensor's error is described by a slow part alone, give it white noise, too."
+        )
 
 
 def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
