@@ -48,7 +48,7 @@ SCRIPTS = {
     "residual_source": ("oracle", ()),
     "soak": ("no other software", ()),
     "step_latency": ("filterpy", ()),
-    "walk": ("No other software", ()),
+    "walk": ("no other software", ()),
     "where_time_goes": ("no other software", ()),
 }
 

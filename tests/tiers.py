@@ -1,6 +1,6 @@
 """Which tests wait for the night: ``pytest --junitxml=times.xml -m "" && python tests/tiers.py times.xml``.
 
-Writes ``nightly.txt``. A test stays in the default tier where it takes less than `QUICK_S`; of those that take longer
+Adds to ``nightly.txt`` (empty it to begin anew). A test stays in the default tier where it takes less than `QUICK_S`; of those that take longer
 each file keeps the shortest ones, as long as they take no more than `KEPT_S` together: one mission per behaviour.
 """
 
@@ -40,6 +40,6 @@ if __name__ == "__main__":
         for path in sys.argv[1:]
         for case in ElementTree.parse(path).getroot().iter("testcase")
     ]
-    names = sorted(set(long_ones(times)))
+    names = sorted(listed() | set(long_ones(times)))
     LIST.write_text("# Made by tiers.py from the times of a run.\n" + "\n".join(names) + "\n", encoding="utf-8")
     print(f"{len(names)} of {len(times)} tests wait for the night")

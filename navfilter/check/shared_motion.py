@@ -36,6 +36,8 @@ WINDOW_S, ALIKE = 1.0, 0.45
 MIRRORED = 1.5
 #: So far off are axes that are turned [rad].
 TURNED = math.radians(25.0)
+#: Of gravity [m/s^2].
+GRAVITY = 9.81
 #: Quarter turns about the down axis -> how the axes have to be read.
 _QUARTERS = {1: "-y,x,z", 2: "-x,-y,z", 3: "y,-x,z"}
 
@@ -140,7 +142,11 @@ def axes_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding
             motion = _accelerations(imu, stream, mounting_of(other, vehicle)[0])
             if motion is None:
                 continue
-            straight, mirrored = _fit(*motion), _fit(motion[0].conjugate(), motion[1])
+            moved, as_read, *others = motion
+            straight, mirrored = (
+                _fit(moved, as_read),
+                max((_fit(moved, other) for other in others), key=lambda f: f.alike),
+            )
             if max(straight.alike, mirrored.alike) < ALIKE:
                 continue
             if mirrored.alike > MIRRORED * straight.alike:
@@ -155,8 +161,10 @@ def axes_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding
                 yield Finding("error", name, f"{text} against how {other} speeds up and turns.", cure)
 
 
-def _accelerations(imu: Stream, stream: Stream, mounting: Array) -> tuple[Array, Array] | None:
-    """Changes of horizontal acceleration by a velocity and a gyro, and by the accelerometers, window by window."""
+def _accelerations(imu: Stream, stream: Stream, mounting: Array) -> tuple[Array, ...] | None:
+    """Changes of horizontal acceleration from window to window, as complex numbers x + iy: by a velocity and a gyro; by
+    the accelerometers as they are read; with y of the whole unit the other way round; and with that of the forces alone.
+    """
     v = vector(stream, "v_x_m_s") @ mounting.T
     known = np.asarray(np.isfinite(v[:, :2]).all(axis=1))
     known[1:] &= np.diff(stream.time_s) > 0.0
@@ -173,16 +181,27 @@ def _accelerations(imu: Stream, stream: Stream, mounting: Array) -> tuple[Array,
     turn = np.interp(times, imu.time_s, integral(imu.time_s, vector(imu, "rate_x_rad_s")[:, 2]))
     rate = np.gradient(turn, times)
     swung = integral(times, np.column_stack([-rate * v[:, 1], rate * v[:, 0]]))
-    felt = integral(imu.time_s, vector(imu, "force_x_m_s2")[:, :2])
+    rates, forces = vector(imu, "rate_x_rad_s"), vector(imu, "force_x_m_s2") @ [1.0, 1j, 0.0]
+    heading = np.exp(1j * integral(imu.time_s, rates[:, 2]))
+    # in a turn a vehicle banks, and gravity is felt sideways: roll + i pitch by the gyros, whose drift is slow
+    tilts = [
+        _integral(imu.time_s, (p + 1j * q) * heading) / heading
+        for p, q in ((rates[:, 0], rates[:, 1] * y) for y in (1.0, -1.0))
+    ]
+    pulls = [1j * GRAVITY * tilt for tilt in tilts]
+    felt = [forces + pulls[0], forces.conjugate() + pulls[1], forces.conjugate() + pulls[0]]
 
     def within(at: Array, series: Array) -> Array:
-        ahead, here = ([np.interp(edges + s, at, series[:, k]) for k in (0, 1)] for s in (length_s, 0.0))
-        return (np.array(ahead[0]) - here[0]) + 1j * (np.array(ahead[1]) - here[1])
+        return np.asarray(np.interp(edges + length_s, at, series) - np.interp(edges, at, series))
 
-    # tilt and biases change slowly: only what changes from window to window counts
-    moved, force = np.diff(within(times, v[:, :2] + swung)), np.diff(within(imu.time_s, felt))
+    # biases change slowly: only what changes from window to window counts
+    moved = within(times, (v[:, :2] + swung) @ [1.0, 1j])
     steady = (longest[1:] < 3.0 * length_s) & (longest[:-1] < 3.0 * length_s)
-    return moved[steady], force[steady]
+    return tuple(np.diff(one)[steady] for one in (moved, *(within(imu.time_s, _integral(imu.time_s, f)) for f in felt)))
+
+
+def _integral(times: Array, series: Array) -> Array:
+    return integral(times, series.real) + 1j * integral(times, series.imag)
 
 
 def _fit(moved: Array, force: Array) -> _Turned:
