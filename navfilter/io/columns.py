@@ -25,11 +25,18 @@ AXES = "xyz"
 #: In SI; what is beyond is no measurement, and its square could not be held.
 LARGEST = 1e100
 #: Who counts days from elsewhere, from where, and how many days that is before 1970.
-_DAYS = (("spreadsheets", "1899-12-30", 25569.0), ("MATLAB's datenum does", "year 0", 719529.0))
+_DAYS = (
+    ("the modified Julian date does", "1858-11-17", 40587.0),
+    ("spreadsheets", "1899-12-30", 25569.0),
+    ("MATLAB's datenum does", "year 0", 719529.0),
+    ("the Julian date does", "4713 BC", 2440587.5),
+)
 #: Days of 1970-01-01 as `datetime.date.toordinal` counts, and of 2001 and 2100 since then.
 _DAY_1970, _DAY_2001, _DAY_2100 = 719163, 11323.0, 47482.0
 #: Thirty million years [s]: later no clock stands, and mean times and their differences stay numbers.
 LATEST_S = 1e15
+#: Stamps that are looked at for their unit.
+_LOOKED_AT = 20_000
 
 
 @dataclasses.dataclass
@@ -251,8 +258,13 @@ def _clock_times(
         raw = continued(raw, clock.rollover)
     known = np.flatnonzero(np.isfinite(raw))
     stated = _time_unit(clock, source)
+    if stated == "s" and clock.scale == 1.0 and known.size and (better := unit_of_times(raw)) not in ("s", ""):
+        raise MissionError(
+            f"{source.path}: its times, from {_shown(raw[known[0]], source)} on, are no seconds. By their size and "
+            f'their steps they are in another unit: time = {{unit = "{better}"}}.'
+        )
     if stated == "day" and known.size and clock.scale == 1.0:
-        raw, note = _since_1970(raw)
+        raw, note = since_1970(raw)
         notes += [note] if note else []
     factor = 1.0 if clock.unit == "iso8601" else unit(stated).factor
     # Subtract before scaling: counters in microseconds since 1970 would lose digits.
@@ -275,7 +287,26 @@ def _time_unit(clock: Clock, source: Table) -> str:
     return stated if known and "unit" not in clock.model_fields_set else clock.unit
 
 
-def _since_1970(days: Array) -> tuple[Array, str]:
+def _shown(stamp: float, source: Table) -> str:
+    return f"{stamp:.15g}" if source.quoted else "the first"
+
+
+def unit_of_times(stamps: Array) -> str:
+    """The unit of stamps that count from a known day, or are hours, minutes and seconds in one; else empty."""
+    stamps = stamps[:_LOOKED_AT]
+    size = float(np.nanmedian(np.abs(stamps)))
+    for name, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if 1e9 * factor <= size < 4.1e9 * factor:
+            return name
+    if dates.is_clock_face(stamps):
+        return "iso8601"
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    # a second is 1e-5 days; nothing here has 5000 readings per second
+    few = steps.size > 0 and 0.0 < float(np.median(steps)) < 2e-4
+    return "day" if few and since_1970(stamps)[1] else ""
+
+
+def since_1970(days: Array) -> tuple[Array, str]:
     """Days since 1970 of such as spreadsheets and MATLAB count, where they lie in this century by that; with a note."""
     middle = float(np.nanmedian(days))
     for who, day, zero in _DAYS:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from navfilter.io import read_mission
 from navfilter.io.table import TableOptions
 from navfilter.io.tables import Table, read_table
-from navfilter.io.text_tables import delimiter_of, fields_of
+from navfilter.io.text_tables import delimiter_of, fields_of, marked_encoding
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import unit
 from navfilter.models.mission import MissionError
@@ -157,8 +157,9 @@ _BEGINNING = 1 << 20
 def first_lines(path: Path, most: int = 40) -> list[str]:
     """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
     try:
-        with _OPENERS.get(path.suffix.lower(), open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
-            return file.read(_BEGINNING).splitlines(keepends=True)[:most]
+        with _OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
+            data = file.read(_BEGINNING)
+        return data.decode(marked_encoding(data) or "utf-8", errors="replace").splitlines(keepends=True)[:most]
     except (OSError, EOFError, lzma.LZMAError, zlib.error):
         return []
 
