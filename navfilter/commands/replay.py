@@ -231,12 +231,15 @@ def replay(options: argparse.Namespace) -> int:
 
 def replay_one(options: argparse.Namespace) -> int:
     """Replay the one mission of the options, and write what came of it; the exit code."""
+    from navfilter.calibration.lights import check_limits
+    from navfilter.calibration.parts import constants_of
     from navfilter.io import read_vehicle
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     mission, withheld = mission_part.select(options, read(options), vehicle)
     formats.check(options, mission)
-    limits = limits_of(options)
+    if limits := limits_of(options):  # a mistake in them shall not cost a replay
+        check_limits(limits, constants_of(vehicle))
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)

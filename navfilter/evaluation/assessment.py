@@ -10,6 +10,7 @@ from navfilter.calibration.lights import Light
 from navfilter.evaluation.calibration_states import constant_lights
 from navfilter.evaluation.fix_reacquisition import Evidence, evidence
 from navfilter.evaluation.learned_text import LearnedText, learnt
+from navfilter.evaluation.survey_figures import SurveyFigures, survey_figures
 from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.models.mission import Mission
 from navfilter.playback.held_out import Score, Withheld, score
@@ -34,6 +35,8 @@ class Assessment:
         Against the fixes withheld, by label of the run; empty where none were.
     lights : tuple of Light
         How far each constant is told.
+    survey : SurveyFigures or None
+        Of the result.
     """
 
     evidence: Evidence
@@ -41,6 +44,7 @@ class Assessment:
     learnt: tuple[LearnedText, ...] = ()
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
     lights: tuple[Light, ...] = ()
+    survey: SurveyFigures | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
@@ -48,6 +52,8 @@ class Assessment:
         own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
         if self.learnt:
             own["learnt"] = {found.title: found.to_dict() for found in self.learnt}
+        if self.survey is not None:
+            own["survey"] = self.survey.to_dict()
         if self.lights:
             own["constants"] = {light.name: light.to_dict() for light in self.lights}
         return {**own, **({"withheld": scores} if scores else {})}
@@ -65,6 +71,7 @@ class Assessment:
         for label, found in self.scores.items():
             yield from (f"{label}: {s}" for s in found)
         yield from self.evidence.lines()
+        yield from self.survey.lines() if self.survey is not None else ()
 
 
 def assess(
@@ -98,4 +105,5 @@ def assess(
             scores[label] = found
     result = list(tracks.values())[-1]
     own = evidence(result)
-    return Assessment(own, judge(result, mission, own), learnt(result), scores, constant_lights(result, limits))
+    lights = constant_lights(result, limits)
+    return Assessment(own, judge(result, mission, own), learnt(result), scores, lights, survey_figures(result))
