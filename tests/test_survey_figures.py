@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_run import small_run
 
 from navfilter.evaluation.survey_figures import ORDERS, radius, survey_figures
-from tests.small_run import small_run
 
 
 @pytest.mark.parametrize("share", [0.5, 0.95])

@@ -8,6 +8,7 @@ from typing import Any
 
 from navfilter.calibration.lights import Light
 from navfilter.evaluation.calibration_states import constant_lights
+from navfilter.evaluation.control_points import Control, ControlPoint, control_residuals
 from navfilter.evaluation.fix_reacquisition import Evidence, evidence
 from navfilter.evaluation.learned_text import LearnedText, learnt
 from navfilter.evaluation.survey_figures import SurveyFigures, survey_figures
@@ -37,6 +38,8 @@ class Assessment:
         How far each constant is told.
     survey : SurveyFigures or None
         Of the result.
+    control : tuple of Control
+        The result at surveyed places.
     """
 
     evidence: Evidence
@@ -45,15 +48,18 @@ class Assessment:
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
     lights: tuple[Light, ...] = ()
     survey: SurveyFigures | None = None
+    control: tuple[Control, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
         scores = {label: {s.sensor: s.to_dict() for s in found} for label, found in self.scores.items()}
-        own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
+        own: dict[str, Any] = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
         if self.learnt:
             own["learnt"] = {found.title: found.to_dict() for found in self.learnt}
         if self.survey is not None:
             own["survey"] = self.survey.to_dict()
+        if self.control:
+            own["control"] = [one.to_dict() for one in self.control]
         if self.lights:
             own["constants"] = {light.name: light.to_dict() for light in self.lights}
         return {**own, **({"withheld": scores} if scores else {})}
@@ -72,6 +78,7 @@ class Assessment:
             yield from (f"{label}: {s}" for s in found)
         yield from self.evidence.lines()
         yield from self.survey.lines() if self.survey is not None else ()
+        yield from map(str, self.control)
 
 
 def assess(
@@ -79,6 +86,7 @@ def assess(
     mission: Mission,
     withheld: Sequence[Withheld] = (),
     limits: Sequence[tuple[str, float, str]] = (),
+    control: Sequence[ControlPoint] = (),
 ) -> Assessment:
     """Assess a run.
 
@@ -92,6 +100,8 @@ def assess(
         Readings that the filter did not get, see `navfilter.playback.held_out.withhold`.
     limits : sequence of (str, float, str)
         Of the sds of constants, see `navfilter.calibration.lights.limit_of`.
+    control : sequence of ControlPoint
+        Surveyed places.
 
     Raises
     ------
@@ -106,4 +116,5 @@ def assess(
     result = list(tracks.values())[-1]
     own = evidence(result)
     lights = constant_lights(result, limits)
-    return Assessment(own, judge(result, mission, own), learnt(result), scores, lights, survey_figures(result))
+    at = control_residuals(result, control)
+    return Assessment(own, judge(result, mission, own), learnt(result), scores, lights, survey_figures(result), at)

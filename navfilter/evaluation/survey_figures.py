@@ -72,9 +72,13 @@ def survey_figures(track: Track) -> SurveyFigures:
     vertical = float(ndtri(0.975)) * np.sqrt(np.maximum(track.covariance[:, 2, 2], 0.0))
     way = np.diff(track.travelled(), append=track.distance_m)
     way = way if way.sum() > 0.0 else np.ones(len(track))
-    figures = [float(value) for one in (cep50, r95, vertical) for value in (one.mean(), one.max())]
     inside = {name: (r95 <= thu) & (vertical <= tvu) for name, (thu, tvu) in ORDERS.items()}
-    return SurveyFigures(*figures, {name: float(100.0 * way[met].sum() / way.sum()) for name, met in inside.items()})
+    return SurveyFigures(
+        *(float(cep50.mean()), float(cep50.max())),
+        *(float(r95.mean()), float(r95.max())),
+        *(float(vertical.mean()), float(vertical.max())),
+        orders={name: float(100.0 * way[met].sum() / way.sum()) for name, met in inside.items()},
+    )
 
 
 def radius(covariance: Array, share: float) -> Array:
