@@ -24,7 +24,15 @@ __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text
 
 
 #: Words of a reader's note that is worth a look.
-GRAVER = ("go back", "too many fields", "cut short", "no neighbour supports", "no number taken", "without AM or PM")
+GRAVER = (
+    "go back",
+    "too many fields",
+    "cut short",
+    "no neighbour supports",
+    "no number taken",
+    "without AM or PM",
+    "begin anew",
+)
 
 
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:

@@ -14,7 +14,7 @@ from navfilter.io import dates
 from navfilter.io.contents import SD, SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.mission_schema import Clock, Component, Group, Reference
-from navfilter.io.stamps import continued
+from navfilter.io.stamps import continued, full_after
 from navfilter.io.stream_joining import circular_mean
 from navfilter.io.table import BLANK, Table
 from navfilter.io.units import UNITS, Unit, angles, parse_quantity, unit
@@ -254,8 +254,11 @@ def _clock_times(
     if raw.size != rows:
         raise MissionError(f'{source.path}: {raw.size} times for {rows} rows in "{table.path}".')
     raw = np.where(np.isfinite(raw), raw, np.nan)
-    if clock.rollover is not None:
-        raw = continued(raw, clock.rollover)
+    period = clock.rollover
+    if period is None and clock.unit != "iso8601" and (period := full_after(raw)) is not None:
+        notes.append(f"stamps begin anew after {period:.10g}, as a counter or a time of day does: continued")
+    if period is not None:
+        raw = continued(raw, period)
     known = np.flatnonzero(np.isfinite(raw))
     stated = _time_unit(clock, source)
     if stated == "s" and clock.scale == 1.0 and known.size and (better := unit_of_times(raw)) not in ("s", ""):
