@@ -31,6 +31,8 @@ _STAMP = rf"\s*(?:{_DATE}(?:[T, ]+{_TIME}{_TAIL})?)\s*"
 _OF_DAY = rf"\s*(?P<h>\d{{1,2}}):(?P<m>\d{{2}}):(?P<s>\d{{2}}(?:[.,]\d*)?){_TAIL}\s*"
 #: More dates than a log has, if it has nothing but dates.
 _DAYS_OF_A_LOG = 31
+_NOTHING = ("", "nan", "nat", "none")
+_DIGITS = re.compile(r"\d+(?:\.\d*)?")
 #: Date and time of day in one number.
 _IN_ONE = r"^(\d{8})(\d{6}(?:\.\d*)?)$"
 _NO_HOUR = re.compile(r"\s*\d{1,3}:\d{2}(?:[.,]\d+)?\s*")
@@ -75,13 +77,9 @@ def seconds(cells: npt.NDArray[np.generic], order: str | None, date: datetime.da
     import pandas as pd
 
     texts = pd.Series(cells).astype(str).str.strip()
-    texts = texts.str.replace(_IN_ONE, r"\1 \2", regex=True)
-    numbers = pd.to_numeric(texts, errors="coerce").to_numpy(float)
-    if is_clock_face(numbers) or (_are_faces(numbers) and np.unique(numbers).size > _DAYS_OF_A_LOG):
-        face = texts.str.extract(r"^(\d+)(\.\d*)?$")
-        digits = face[0].str.zfill(6)
-        texts = (digits.str[:2] + ":" + digits.str[2:4] + ":" + digits.str[4:] + face[1].fillna("")).fillna("")
-    known = texts[~texts.str.lower().isin(("", "nan", "nat", "none"))]
+    if _DIGITS.fullmatch(next((text for text in texts if text.lower() not in _NOTHING), "")):
+        texts = _without_digits_alone(texts)
+    known = texts[~texts.str.lower().isin(_NOTHING)]
     if known.empty:
         return Dated(np.full(len(texts), np.nan), False)
     if order is None and _YEAR_FIRST.match(known.iloc[0]) and not known.iloc[0].isdecimal():
@@ -120,6 +118,19 @@ def seconds(cells: npt.NDArray[np.generic], order: str | None, date: datetime.da
     midnight = 0.0 if date is None else _DAY_S * (date.toordinal() - datetime.date(1970, 1, 1).toordinal())
     words = "a clock of 12 hours without AM or PM, taken to begin as it reads" if twelve else ""
     return Dated(time_s + midnight - _zone(parts).reindex(texts.index).to_numpy(float), True, words)
+
+
+def _without_digits_alone(texts: Any) -> Any:
+    """Date and time of day in one number, and times of day in one, with signs between."""
+    import pandas as pd
+
+    texts = texts.str.replace(_IN_ONE, r"\1 \2", regex=True)
+    numbers = pd.to_numeric(texts, errors="coerce").to_numpy(float)
+    if not is_clock_face(numbers) and not (_are_faces(numbers) and np.unique(numbers).size > _DAYS_OF_A_LOG):
+        return texts
+    face = texts.str.extract(r"^(\d+)(\.\d*)?$")
+    digits = face[0].str.zfill(6)
+    return (digits.str[:2] + ":" + digits.str[2:4] + ":" + digits.str[4:] + face[1].fillna("")).fillna("")
 
 
 def is_clock_face(numbers: Array) -> bool:
