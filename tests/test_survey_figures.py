@@ -29,9 +29,7 @@ def test_orders_count_by_the_way_not_by_the_time():
     covariance[half:, :3, :3] = np.diag([3.0, 3.0, 0.1]) ** 2
     found = survey_figures(replace(track, covariance=covariance))
     assert list(found.orders) == list(ORDERS)
-    assert (
-        found.orders["exclusive"] == pytest.approx(50.0, abs=1.0) == found.orders["special"] == found.orders["1a, 1b"]
-    )
+    assert found.orders["exclusive"] == pytest.approx(50.0, abs=1.0) == found.orders["special"] == found.orders["1a/1b"]
     assert found.orders["2"] == pytest.approx(100.0)
     assert found.r95_most_m == pytest.approx(3.0 * 2.4477, rel=1e-3) and found.tvu_most_m == pytest.approx(
         0.196, abs=1e-3

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 #: Orders of IHO S-44 (edition 6) -> total horizontal and vertical uncertainty that it allows at depth 0, 95 % [m]. In
 #: deep water they allow more; 1a and 1b are alike in both.
-ORDERS = {"exclusive": (1.0, 0.15), "special": (2.0, 0.25), "1a, 1b": (5.0, 0.5), "2": (20.0, 1.0)}
+ORDERS = {"exclusive": (1.0, 0.15), "special": (2.0, 0.25), "1a/1b": (5.0, 0.5), "2": (20.0, 1.0)}
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,9 @@ NIS = (
     "holds 95 % of such means."
 )
 SEPARATION = (
-    "Forward minus smoothed track: what all later readings, run backward, say against the earlier ones. Two thirds lie "
-    "inside the band of an honest filter; where they leave it, a sensor pulls that vehicle.toml does not describe."
+    "Forward minus smoothed track: what the later readings say against the earlier ones, with the band that honest "
+    "tracks differ by. An error that lasts stays on one side; beyond three bands something pulls that vehicle.toml does "
+    "not describe."
 )
 USED, REJECTED = "#0072b2", "#d55e00"
 
