@@ -157,6 +157,20 @@ def test_letters_in_a_column_of_their_own(tmp_path, names):
     np.testing.assert_allclose(gps[:, :2], -np.column_stack([LATITUDE, LONGITUDE]), atol=1e-6)
 
 
+def test_letters_that_a_mapping_leaves_out_are_asked_for(tmp_path):
+    columns = {"t": text(K), "lat": PLAIN["lat"], "NS": ["S"] * K.size, "lon": PLAIN["lon"], "EW": ["E"] * K.size}
+    (tmp_path / "log.csv").write_text(table(columns))
+    mapping = (
+        '[streams.gps]\nfile = "log.csv"\ntime = {{column = "t"}}\nposition = {{columns = [{}, "lon"], unit = "deg"}}'
+    )
+    (tmp_path / "mission.toml").write_text(mapping.format('"lat"'))
+    with pytest.raises(MissionError, match=r'reads S: .* Write {column = \["lat", "NS"\]}'):
+        nf.read_mission(tmp_path)
+    (tmp_path / "mission.toml").write_text(mapping.format('{column = ["lat", "NS"]}'))
+    gps = np.degrees(nf.read_mission(tmp_path).streams["gps"].value)
+    np.testing.assert_allclose(gps[:, :2], np.column_stack([-LATITUDE, LONGITUDE]), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "factor"), [("heading", 100.0), ("heading [gon]", 1 / 0.9), ("HeadingDeg", 1.0), ("compass_heading", 1.0)]
 )

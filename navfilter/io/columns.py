@@ -62,6 +62,8 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         stated = _stated_unit(table, name, part, k)
         references = (part.column,) if part.mean is None else part.mean
         raws = [_raw(table, one, group, k, part, rows, counts) for one in references]
+        if name == "position" and k < 2 and isinstance(part.column, str):
+            _refuse_lost_letter(table, part.column, raws[0], "SW"[k])
         invalid[:, k] = np.logical_or.reduce([_is_sentinel(raw, group) for raw in raws])
         if len(raws) > 1 and _unit_of(part, group, k, stated).dimension == "angle":
             values[:, k] = circular_mean(np.stack([_si(raw, part, group, k, stated) for raw in raws]))
@@ -80,6 +82,19 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
     if group.invalid_together and not (name in known and known[name].independent):
         values[np.isnan(values[:, measured]).any(axis=1)] = np.nan
     return _oriented(values, name, group)
+
+
+def _refuse_lost_letter(table: Table, column: str, values: Array, letter: str) -> None:
+    """Raise MissionError where the column behind says south or west of numbers that are positive."""
+    behind = list(table.columns)[list(table.columns).index(column) + 1 :][:1]
+    for name in (one for one in behind if table.columns[one].dtype.kind in "OUT"):
+        there = np.array([str(cell).strip().upper() == letter for cell in table.columns[name].tolist()])
+        if there.size == values.size and (values[there] > 0.0).any():
+            shown = (column, name) if table.quoted else ("..", "..")
+            raise MissionError(
+                f'{table.path}: "{shown[0]}" is positive where "{shown[1]}" behind it reads {letter}: the half of the '
+                f'Earth is lost. Write {{column = ["{shown[0]}", "{shown[1]}"]}} in its place.'
+            )
 
 
 def _raw(

@@ -49,8 +49,8 @@ NIS = (
 )
 SEPARATION = (
     "Forward minus smoothed track: what the later readings say against the earlier ones, with the band that honest "
-    "tracks differ by. An error that lasts stays on one side; beyond three bands something pulls that vehicle.toml does "
-    "not describe."
+    "tracks differ by. An error that lasts stays on one side; beyond three bands something pulls that vehicle.toml "
+    "does not describe."
 )
 USED, REJECTED = "#0072b2", "#d55e00"
 
