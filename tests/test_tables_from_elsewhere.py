@@ -200,14 +200,15 @@ def sentence(body, signed=True):
     return f"${body}*{functools.reduce(operator.xor, body.encode()):02X}" if signed else f"${body}"
 
 
-def fixes(signed=True, quality=1, prefix="{0}"):
-    """A GGA and a heading each second."""
+def fixes(signed=True, quality=1, prefix="{0}", kind="GGA"):
+    """A fix and a heading each second; the first 30 of another quality."""
     pytest.importorskip("pynmeagps")
     rows = []
     for k in K.tolist():
         north, east = (f"{int(x):02d}{60.0 * (x % 1.0):09.6f}" for x in (LATITUDE[k], LONGITUDE[k]))
-        level = quality if k < 30 else 1
-        gga = f"GPGGA,{utc('%H%M%S')[k]}.00,{north},N,0{east},E,{level},08,1.0,5.0,M,40.0,M,,"
+        level = quality if k < 30 else {"GGA": 1, "GNS": "AN"}[kind]
+        gga = f"GP{kind},{utc('%H%M%S')[k]}.00,{north},N,0{east},E,{level},08,1.0,5.0"
+        gga += ",M,40.0,M,," if kind == "GGA" else ",40.0,,"
         for body in (gga, f"HEHDT,{HEADING[k]:.2f},T"):
             rows.append(prefix.format(sentence(body, signed), NOON + k))
     return "\r\n".join(rows) + "\r\n"
@@ -219,9 +220,9 @@ def test_a_log_without_any_checksum(tmp_path):
     assert any("without a checksum taken as they are" in note for note in mission.notes)
 
 
-@pytest.mark.parametrize("quality", [6, 7, 8], ids=["reckoned", "typed in", "simulated"])
-def test_what_a_receiver_makes_up_is_no_fix(tmp_path, quality):
-    mission = drafted(tmp_path, "log.nmea", fixes(quality=quality))
+@pytest.mark.parametrize(("kind", "quality"), [("GGA", 6), ("GGA", 7), ("GGA", 8), ("GNS", "NN"), ("GNS", "EE")])
+def test_what_a_receiver_makes_up_is_no_fix(tmp_path, kind, quality):
+    mission = drafted(tmp_path, "log.nmea", fixes(quality=quality, kind=kind))
     assert len(mission.streams["gps"]) == K.size - 30
 
 

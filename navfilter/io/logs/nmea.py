@@ -35,6 +35,8 @@ SENTENCE = re.compile(rb"[$!]((P[A-Z]{3}[A-Z0-9]*|[A-Z]{2}[A-Z0-9]{3}),[^*$!]*)(
 _TIMES = {b"GGA": 1, b"RMC": 1, b"ZDA": 1, b"GNS": 1, b"GLL": 5, b"GST": 1, b"GRS": 1, b"PASHR": 1}
 #: A receiver's clock before its first fix is right where that fix comes within this after it [s].
 _GOES_ON_S = 60.0
+#: Modes of GNS, a letter for each system, of what was measured: not none, reckoned, typed in or simulated.
+_MEASURED = frozenset("ADFPR")
 #: Sentences that are looked at for checksums.
 _LOOKED_AT = 200
 #: Fields of sentences that the library does not know, by their makers' manuals (names as there).
@@ -126,6 +128,8 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
     record = {key: None if value == "" else value for key, value in own.items() if not key.startswith("_")}
     if short_name(topic) == "HDG":
         record |= _corrected(topic, record, tally)
+    if short_name(topic) == "GNS" and not _MEASURED & set(str(record.get("posMode"))):
+        record |= {"lat": None, "lon": None}
     if topic == "PTNLGGK":
         record["height"] = _number(str(record.get("height")).removeprefix("EHT"))
     return record
@@ -212,6 +216,8 @@ def _has_fix(fields: list[bytes]) -> bool | None:
         return fields[place] == b"A" if len(fields) > place else None
     if kind == b"GGA" and len(fields) > 6:
         return fields[6] not in (b"", b"0")
+    if kind == b"GNS" and len(fields) > 6:
+        return bool(_MEASURED & set(fields[6].decode("ascii", "replace")))
     if fields[0] == b"PTNL" and len(fields) > 8 and fields[1] == b"GGK":
         return fields[8] not in (b"", b"0")
     return None
