@@ -10,6 +10,7 @@ import pytest
 import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.commands.cli import main
+from navfilter.io.series import read_series
 from navfilter.models.mission import MissionError
 
 NOON = 1682942400.0  # 2023-05-01T12:00:00Z
@@ -120,6 +121,21 @@ def test_dates_that_nobody_knows_are_shown(tmp_path, form):
     stamps = utc(form)
     with pytest.raises(MissionError, match=f'"{stamps[0]}" is no date and no time of day .* Write it as 2026'):
         depth_of(tmp_path, table({"t": stamps, "depth": text(DEPTH)}), '{column = "t", unit = "iso8601"}')
+
+
+@pytest.mark.parametrize(("form", "unit"), [("%Y-%m-%dT%H:%M:%SZ", "s"), ("%H%M%S", "s"), ("epoch", "ms")])
+def test_a_series_takes_its_times_as_they_are_written(tmp_path, form, unit):
+    (tmp_path / "still.csv").write_text(
+        table({"t": utc(form) if form != "epoch" else text(1e3 * (NOON + K), 0), "depth": text(DEPTH)})
+    )
+    series = read_series(tmp_path / "still.csv", "depth", time_column="t", time_unit=unit)
+    assert series.rate_hz == pytest.approx(1.0) and series.value.size == K.size
+
+
+def test_milliseconds_are_no_seconds_of_a_series(tmp_path):
+    (tmp_path / "still.csv").write_text(table({"t": text(1e3 * (NOON + K), 0), "depth": text(DEPTH)}))
+    with pytest.raises(MissionError, match=r"are no seconds.*--time-unit ms"):
+        read_series(tmp_path / "still.csv", "depth", time_column="t")
 
 
 # --- guesses --------------------------------------------------------------------------------------------------------

@@ -305,6 +305,31 @@ def _time_unit(clock: Clock, source: Table) -> str:
     return stated if known and "unit" not in clock.model_fields_set else clock.unit
 
 
+def series_times(table: Table, reference: str, stated: str) -> Array:
+    """Times of a column [s]: numbers in the unit that the file states, else in `stated`; dates and hhmmss as written.
+
+    Raises
+    ------
+    MissionError
+        Where numbers are in another unit by their size, and where dates cannot be told.
+    """
+    raw, _ = table.numbers(reference)
+    name = table.units.get(reference, stated)
+    known = np.isfinite(raw)
+    better = unit_of_times(raw) if name == "s" and known.any() else ""
+    if better == "iso8601" or not known.any():
+        try:
+            return dates.seconds(table.raw(reference), None, None).time_s
+        except ValueError as error:
+            raise MissionError(f"{table.path}: {error}") from None
+    if better not in ("s", ""):
+        first = f"{raw[known][0]:.15g}"
+        raise MissionError(
+            f"{table.path}: its times, from {first} on, are no seconds. By their size they are: --time-unit {better}."
+        )
+    return raw * unit(name).factor
+
+
 def _shown(stamp: float, source: Table) -> str:
     return f"{stamp:.15g}" if source.quoted else "the first"
 
