@@ -1,4 +1,5 @@
-"""Mistakes of a mapping or a vehicle.toml, in the manual's own example: what `check` and the verdict of a replay say.
+"""Mistakes of a mapping or a vehicle.toml, in the manual's own example: what `check` and the verdict of a replay say;
+and tables as other programs write them.
 
 No other software is known that looks for them; the row without a mistake is the reference.
 """
@@ -6,11 +7,14 @@ No other software is known that looks for them; the row without a mistake is the
 from __future__ import annotations
 
 import sys
+import tempfile
+from pathlib import Path
 from typing import Any
 
 from harness import ROOT, Options, Table, main, quick
 
 sys.path.insert(0, str(ROOT / "tests"))
+import file_mistakes
 import mistakes_library as library
 
 from navfilter.check.finding import Finding
@@ -25,6 +29,16 @@ def mistakes(options: Options) -> list[dict[str, Any]]:
         told = library.told(*spoil(vehicle, mission))
         table.add({"mistake": name, "check": first(told.check), "exit": told.code, "verdict": said(told)})
     return table.rows
+
+
+def files(options: Options) -> list[dict[str, Any]]:
+    """Each file, what is said of it, and the exit code of `check`."""
+    out = Table("file<42 said<150 exit>4d")
+    for name, (content, clock) in [*file_mistakes.FILES.items()][: 3 if options.quick else None]:
+        with tempfile.TemporaryDirectory() as folder:
+            told = file_mistakes.told(Path(folder), content, clock)
+        out.add({"file": name, "said": told.said or "read right", "exit": told.code})
+    return out.rows
 
 
 def first(findings: tuple[Finding, ...]) -> str:
@@ -45,4 +59,4 @@ def said(told: library.Told) -> str:
 
 
 if __name__ == "__main__":
-    main(__doc__, {mistakes: [quick("two mistakes")]})
+    main(__doc__, {mistakes: [quick("two mistakes")], files: [quick("three files")]})

@@ -178,7 +178,9 @@ class Told:
     @property
     def code(self) -> int:
         """Exit code of ``navfilter replay``."""
-        return 2 if isinstance(self.verdict, str) else int(not self.verdict.trusted)
+        if isinstance(self.verdict, str):
+            return 2
+        return 0 if self.verdict.trusted else 1 if self.verdict.wrong else 3
 
 
 def told(vehicle: Vehicle, mission: Mission) -> Told:

@@ -138,6 +138,11 @@ def test_a_mirrored_velocity(dive):
         assert "mirrored" in found[0].text and 'axes = "x,-y,z" in velocity of [streams.dvl]' in found[0].cure
 
 
+def test_fixes_that_err_mirror_no_velocity_that_is_hardly_sideways():
+    vehicle, mission = simulate_scenario("lawnmower", seed=111, duration_s=600.0)
+    assert not any("mirrored" in finding.text for finding in check_mission(replace(mission, truth=None), vehicle))
+
+
 def test_a_velocity_mirrored_and_not_turned_is_known_by_the_positions():
     assert "it fits the positions with its y axis reversed" in said(
         mission(velocity=MOTION["v_b"] * [1, -1, 1]), "error"

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import file_mistakes
 import mistakes_library as library
 import pytest
 
@@ -43,3 +44,18 @@ def test_a_mistake_is_noticed_as_the_manual_says(dive, name):
 
 def test_the_table_has_every_mistake_and_none_that_is_not():
     assert [row[0] for row in ROWS] == list(library.MISTAKES) and len(ROWS) >= 20
+
+
+FILE_ROWS = re.findall(r"^\| ([^|]+?) \| ([^|]+?) \| (\d) \|$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", file_mistakes.FILES)
+def test_no_number_of_a_file_is_wrong_without_a_word(tmp_path, name):
+    told = file_mistakes.told(tmp_path, *file_mistakes.FILES[name])
+    assert told.right or (told.code and told.said)
+    said, code = {row[0]: row[1:] for row in FILE_ROWS}[name]
+    assert (words(said), int(code)) == (words(told.said or "read right"), told.code)
+
+
+def test_the_table_has_every_file():
+    assert [row[0] for row in FILE_ROWS] == list(file_mistakes.FILES) and len(FILE_ROWS) >= 40

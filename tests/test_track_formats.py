@@ -9,6 +9,7 @@ import sqlite3
 import struct
 import tracemalloc
 import xml.etree.ElementTree as ElementTree
+import zipfile
 
 import numpy as np
 import pandas as pd
@@ -115,6 +116,14 @@ def test_kml_is_a_track_with_times_and_sd(tmp_path):
     np.testing.assert_allclose(coordinates[:, 2], track.height, rtol=0, atol=1e-3)
     variance = track.covariance[:, 0, 0] + track.covariance[:, 1, 1]
     np.testing.assert_allclose(sds, np.sqrt(variance), rtol=0, atol=1e-3)
+
+
+def test_kmz_is_the_same_packed(tmp_path):
+    _, track = run()
+    plain = nf.write_track(track, tmp_path / "track.kml").read_bytes()
+    with zipfile.ZipFile(nf.write_track(track, tmp_path / "track.kmz")) as archive:
+        assert archive.namelist() == ["doc.kml"] and archive.read("doc.kml") == plain
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["track.kml", "track.kmz"]
 
 
 def test_kml_without_utc_is_a_line_without_times(tmp_path):

@@ -114,18 +114,8 @@ def lit(one: Constant, value: float, sd: float, limits: Sequence[tuple[str, floa
         As found.
     limits : sequence of (str, float, str)
         As `limit_of` gives them; of several that fit the last holds.
-
-    Raises
-    ------
-    ValueError
-        For a limit of another dimension.
     """
-    limit = LEFT * one.sd
-    for name, stated, dimension in limits:
-        if _fits(name, one):
-            if _DIMENSIONS.get(one.unit, "") != dimension:
-                raise ValueError(f"--limit {name}: {one.name} is no {dimension} (its unit is {one.unit}).")
-            limit = stated
+    limit = next((stated for name, stated, _ in reversed(limits) if _fits(name, one)), LEFT * one.sd)
     return Light(one.name, one.unit, one.value, one.sd, value, sd, limit)
 
 
@@ -134,9 +124,13 @@ def _fits(name: str, one: Constant) -> bool:
 
 
 def check_limits(limits: Sequence[tuple[str, float, str]], there: Sequence[Constant]) -> None:
-    """Raise ValueError for a limit that fits no constant."""
-    for name, *_ in limits:
-        if not any(_fits(name, one) for one in there):
+    """Raise ValueError for a limit that fits no constant, or one of another dimension."""
+    for name, _, dimension in limits:
+        fitting = [one for one in there if _fits(name, one)]
+        for one in fitting:
+            if _DIMENSIONS.get(one.unit, "") != dimension:
+                raise ValueError(f"--limit {name}: {one.name} is no {dimension} (its unit is {one.unit}).")
+        if not fitting:
             names = ", ".join(one.name for one in there) or "none: give one an sd in vehicle.toml"
             raise ValueError(f"--limit {name}: no constant is called so (constants: {names}).")
 

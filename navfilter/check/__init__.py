@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from navfilter.check.course import HABIT
@@ -23,7 +24,15 @@ __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text
 
 
 #: Words of a reader's note that is worth a look.
-GRAVER = ("go back", "too many fields", "cut short", "no neighbour supports", "no number taken", "without AM or PM")
+GRAVER = (
+    "go back",
+    "too many fields",
+    "cut short",
+    "no neighbour supports",
+    "no number taken",
+    "without AM or PM",
+    "begin anew",
+)
 
 
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:
@@ -51,6 +60,11 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     found: list[Finding] = []
     if not mission.streams:
         found.append(Finding("error", "", "there is no stream.", "Add [streams.NAME] to the mission.toml."))
+    if (begin := mission.begin_utc) is not None and begin > datetime.now(UTC).isoformat():
+        cure = (
+            "Weeks of GPS counted 1024 too far, a clock that was never set, or another first day: see time and epoch."
+        )
+        found.append(Finding("warning", "", f"the first reading is of {begin}, a day to come.", cure))
     for name, stream in mission.streams.items():
         found += stream_findings(name, stream, mission)
     for note in mission.notes:

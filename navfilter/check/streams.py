@@ -43,7 +43,11 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     repeated = int(np.count_nonzero(step == 0.0))
     if repeated:
         cure = "The navigator counts them as duplicates; drop them if the values are equal too."
-        yield Finding("warning", name, f"{counted(repeated, 'reading')} with the time of the one before.", cure)
+        coarse = repeated > 0.8 * len(step)
+        if coarse:
+            cure = "The stamps are too coarse: export them with their fractions, or ends_only = true in time."
+        text = f"{counted(repeated, 'reading')} with the time of the one before."
+        yield Finding("error" if coarse else "warning", name, text, cure)
     gaps = step > 5.0 * usual
     if gaps.any():
         worst = int(np.argmax(step))

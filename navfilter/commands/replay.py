@@ -31,6 +31,7 @@ from navfilter.commands.console import (
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
+    from navfilter.evaluation.control_points import ControlPoint
     from navfilter.models.mission import Mission
     from navfilter.playback.held_out import Withheld
     from navfilter.track.track import Track
@@ -92,6 +93,7 @@ examples:
   navfilter replay dives/* --vehicle vehicle.toml --smooth --out season --workers 4     each to a folder of its own
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit dvl.scale=0.1%
+  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --control gates.csv    against surveyed places
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
 """,
@@ -190,6 +192,12 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
     )
     add_limit_argument(parser)
+    parser.add_argument(
+        "--control",
+        metavar="FILE",
+        help="compare the track with surveyed places, which the filter does not get: a table with the columns name, "
+        "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
+    )
     mission_part.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
@@ -231,19 +239,24 @@ def replay(options: argparse.Namespace) -> int:
 
 def replay_one(options: argparse.Namespace) -> int:
     """Replay the one mission of the options, and write what came of it; the exit code."""
+    from navfilter.calibration.lights import check_limits
+    from navfilter.calibration.parts import constants_of
+    from navfilter.evaluation.control_points import read_control_points
     from navfilter.io import read_vehicle
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     mission, withheld = mission_part.select(options, read(options), vehicle)
     formats.check(options, mission)
-    limits = limits_of(options)
+    if limits := limits_of(options):  # a mistake in them shall not cost a replay
+        check_limits(limits, constants_of(vehicle))
+    control = read_control_points(Path(options.control)) if options.control else ()
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     how = {"output_rate_hz": options.output_rate}
     how |= {"passes": options.passes} if options.passes != 1 else {"smooth": options.smooth}
     track = _replayed(vehicle, mission, options.quiet, **how)
-    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits)
+    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits, control)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -281,13 +294,14 @@ def _write(
     vehicle_file: str | None = None,
     drawn: bool = True,
     limits: Sequence[tuple[str, float, str]] = (),
+    control: Sequence[ControlPoint] = (),
 ) -> int:
     """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
     tracks = labelled(track)
-    assessment = assess(tracks, mission, withheld, limits)
+    assessment = assess(tracks, mission, withheld, limits, control)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
     report = folder / "report.html"

@@ -8,8 +8,10 @@ from typing import Any
 
 from navfilter.calibration.lights import Light
 from navfilter.evaluation.calibration_states import constant_lights
+from navfilter.evaluation.control_points import Control, ControlPoint, control_residuals
 from navfilter.evaluation.fix_reacquisition import Evidence, evidence
 from navfilter.evaluation.learned_text import LearnedText, learnt
+from navfilter.evaluation.survey_figures import SurveyFigures, survey_figures
 from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.models.mission import Mission
 from navfilter.playback.held_out import Score, Withheld, score
@@ -34,6 +36,10 @@ class Assessment:
         Against the fixes withheld, by label of the run; empty where none were.
     lights : tuple of Light
         How far each constant is told.
+    survey : SurveyFigures or None
+        Of the result.
+    control : tuple of Control
+        The result at surveyed places.
     """
 
     evidence: Evidence
@@ -41,13 +47,19 @@ class Assessment:
     learnt: tuple[LearnedText, ...] = ()
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
     lights: tuple[Light, ...] = ()
+    survey: SurveyFigures | None = None
+    control: tuple[Control, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
         scores = {label: {s.sensor: s.to_dict() for s in found} for label, found in self.scores.items()}
-        own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
+        own: dict[str, Any] = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
         if self.learnt:
             own["learnt"] = {found.title: found.to_dict() for found in self.learnt}
+        if self.survey is not None:
+            own["survey"] = self.survey.to_dict()
+        if self.control:
+            own["control"] = [one.to_dict() for one in self.control]
         if self.lights:
             own["constants"] = {light.name: light.to_dict() for light in self.lights}
         return {**own, **({"withheld": scores} if scores else {})}
@@ -65,6 +77,8 @@ class Assessment:
         for label, found in self.scores.items():
             yield from (f"{label}: {s}" for s in found)
         yield from self.evidence.lines()
+        yield from self.survey.lines() if self.survey is not None else ()
+        yield from map(str, self.control)
 
 
 def assess(
@@ -72,6 +86,7 @@ def assess(
     mission: Mission,
     withheld: Sequence[Withheld] = (),
     limits: Sequence[tuple[str, float, str]] = (),
+    control: Sequence[ControlPoint] = (),
 ) -> Assessment:
     """Assess a run.
 
@@ -85,6 +100,8 @@ def assess(
         Readings that the filter did not get, see `navfilter.playback.held_out.withhold`.
     limits : sequence of (str, float, str)
         Of the sds of constants, see `navfilter.calibration.lights.limit_of`.
+    control : sequence of ControlPoint
+        Surveyed places.
 
     Raises
     ------
@@ -98,4 +115,6 @@ def assess(
             scores[label] = found
     result = list(tracks.values())[-1]
     own = evidence(result)
-    return Assessment(own, judge(result, mission, own), learnt(result), scores, constant_lights(result, limits))
+    lights = constant_lights(result, limits)
+    at = control_residuals(result, control)
+    return Assessment(own, judge(result, mission, own), learnt(result), scores, lights, survey_figures(result), at)

@@ -61,10 +61,11 @@ class Verdict:
     def headline(self) -> str:
         """The verdict in one sentence."""
         doubts = [finding for finding in self.findings if finding.severity == "warning"]
+        lacking = f": {'; '.join(self.lacking)}." if self.lacking else "."
         if self.wrong:
-            return "This track is not to be trusted."
+            return f"This track is not to be trusted{lacking}"
         if not self.judged:
-            return f"This track is not judged: {'; '.join(self.lacking)}."
+            return f"This track is not judged{lacking}"
         return "This track is to be used with care." if doubts else f"Nothing speaks against this track: {self.praise}."
 
     def lines(self) -> list[str]:

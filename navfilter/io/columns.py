@@ -14,7 +14,7 @@ from navfilter.io import dates
 from navfilter.io.contents import SD, SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.mission_schema import Clock, Component, Group, Reference
-from navfilter.io.stamps import continued
+from navfilter.io.stamps import continued, full_after
 from navfilter.io.stream_joining import circular_mean
 from navfilter.io.table import BLANK, Table
 from navfilter.io.units import UNITS, Unit, angles, parse_quantity, unit
@@ -25,11 +25,18 @@ AXES = "xyz"
 #: In SI; what is beyond is no measurement, and its square could not be held.
 LARGEST = 1e100
 #: Who counts days from elsewhere, from where, and how many days that is before 1970.
-_DAYS = (("spreadsheets", "1899-12-30", 25569.0), ("MATLAB's datenum does", "year 0", 719529.0))
+_DAYS = (
+    ("the modified Julian date does", "1858-11-17", 40587.0),
+    ("spreadsheets", "1899-12-30", 25569.0),
+    ("MATLAB's datenum does", "year 0", 719529.0),
+    ("the Julian date does", "4713 BC", 2440587.5),
+)
 #: Days of 1970-01-01 as `datetime.date.toordinal` counts, and of 2001 and 2100 since then.
 _DAY_1970, _DAY_2001, _DAY_2100 = 719163, 11323.0, 47482.0
 #: Thirty million years [s]: later no clock stands, and mean times and their differences stay numbers.
 LATEST_S = 1e15
+#: Stamps that are looked at for their unit.
+_LOOKED_AT = 20_000
 
 
 @dataclasses.dataclass
@@ -55,6 +62,8 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         stated = _stated_unit(table, name, part, k)
         references = (part.column,) if part.mean is None else part.mean
         raws = [_raw(table, one, group, k, part, rows, counts) for one in references]
+        if name == "position" and k < 2 and isinstance(part.column, str):
+            _refuse_lost_letter(table, part.column, raws[0], "SW"[k])
         invalid[:, k] = np.logical_or.reduce([_is_sentinel(raw, group) for raw in raws])
         if len(raws) > 1 and _unit_of(part, group, k, stated).dimension == "angle":
             values[:, k] = circular_mean(np.stack([_si(raw, part, group, k, stated) for raw in raws]))
@@ -73,6 +82,19 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
     if group.invalid_together and not (name in known and known[name].independent):
         values[np.isnan(values[:, measured]).any(axis=1)] = np.nan
     return _oriented(values, name, group)
+
+
+def _refuse_lost_letter(table: Table, column: str, values: Array, letter: str) -> None:
+    """Raise MissionError where the column behind says south or west of numbers that are positive."""
+    behind = list(table.columns)[list(table.columns).index(column) + 1 :][:1]
+    for name in (one for one in behind if table.columns[one].dtype.kind in "OUT"):
+        there = np.array([str(cell).strip().upper() == letter for cell in table.columns[name].tolist()])
+        if there.size == values.size and (values[there] > 0.0).any():
+            shown = (column, name) if table.quoted else ("..", "..")
+            raise MissionError(
+                f'{table.path}: "{shown[0]}" is positive where "{shown[1]}" behind it reads {letter}: the half of the '
+                f'Earth is lost. Write {{column = ["{shown[0]}", "{shown[1]}"]}} in its place.'
+            )
 
 
 def _raw(
@@ -247,12 +269,20 @@ def _clock_times(
     if raw.size != rows:
         raise MissionError(f'{source.path}: {raw.size} times for {rows} rows in "{table.path}".')
     raw = np.where(np.isfinite(raw), raw, np.nan)
-    if clock.rollover is not None:
-        raw = continued(raw, clock.rollover)
+    period = clock.rollover
+    if period is None and clock.unit != "iso8601" and (period := full_after(raw)) is not None:
+        notes.append(f"stamps begin anew after {period:.10g}, as a counter or a time of day does: continued")
+    if period is not None:
+        raw = continued(raw, period)
     known = np.flatnonzero(np.isfinite(raw))
     stated = _time_unit(clock, source)
+    if stated == "s" and clock.scale == 1.0 and known.size and (better := unit_of_times(raw)) not in ("s", ""):
+        raise MissionError(
+            f"{source.path}: its times, from {_shown(raw[known[0]], source)} on, are no seconds. By their size and "
+            f'their steps they are in another unit: time = {{unit = "{better}"}}.'
+        )
     if stated == "day" and known.size and clock.scale == 1.0:
-        raw, note = _since_1970(raw)
+        raw, note = since_1970(raw)
         notes += [note] if note else []
     factor = 1.0 if clock.unit == "iso8601" else unit(stated).factor
     # Subtract before scaling: counters in microseconds since 1970 would lose digits.
@@ -275,7 +305,51 @@ def _time_unit(clock: Clock, source: Table) -> str:
     return stated if known and "unit" not in clock.model_fields_set else clock.unit
 
 
-def _since_1970(days: Array) -> tuple[Array, str]:
+def series_times(table: Table, reference: str, stated: str) -> Array:
+    """Times of a column [s]: numbers in the unit that the file states, else in `stated`; dates and hhmmss as written.
+
+    Raises
+    ------
+    MissionError
+        Where numbers are in another unit by their size, and where dates cannot be told.
+    """
+    raw, _ = table.numbers(reference)
+    name = table.units.get(reference, stated)
+    known = np.isfinite(raw)
+    better = unit_of_times(raw) if name == "s" and known.any() else ""
+    if better == "iso8601" or not known.any():
+        try:
+            return dates.seconds(table.raw(reference), None, None).time_s
+        except ValueError as error:
+            raise MissionError(f"{table.path}: {error}") from None
+    if better not in ("s", ""):
+        first = f"{raw[known][0]:.15g}"
+        raise MissionError(
+            f"{table.path}: its times, from {first} on, are no seconds. By their size they are: --time-unit {better}."
+        )
+    return raw * unit(name).factor
+
+
+def _shown(stamp: float, source: Table) -> str:
+    return f"{stamp:.15g}" if source.quoted else "the first"
+
+
+def unit_of_times(stamps: Array) -> str:
+    """The unit of stamps that count from a known day, or are hours, minutes and seconds in one; else empty."""
+    stamps = stamps[:_LOOKED_AT]
+    size = float(np.nanmedian(np.abs(stamps)))
+    for name, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if 1e9 * factor <= size < 4.1e9 * factor:
+            return name
+    if dates.is_clock_face(stamps):
+        return "iso8601"
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    # a second is 1e-5 days; nothing here has 5000 readings per second
+    few = steps.size > 0 and 0.0 < float(np.median(steps)) < 2e-4
+    return "day" if few and since_1970(stamps)[1] else ""
+
+
+def since_1970(days: Array) -> tuple[Array, str]:
     """Days since 1970 of such as spreadsheets and MATLAB count, where they lie in this century by that; with a note."""
     middle = float(np.nanmedian(days))
     for who, day, zero in _DAYS:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from navfilter.io.stamps import continued
 
-__all__ = ["ORDERS", "Dated", "seconds"]
+__all__ = ["ORDERS", "Dated", "is_clock_face", "seconds"]
 
 Array = npt.NDArray[np.float64]
 Text = npt.NDArray[np.str_]
@@ -29,6 +29,12 @@ _TAIL = r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2
 _TIME = r"(?:(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,]\d*)?))?|(?P<hms>\d{1,6}(?:\.\d*)?))"
 _STAMP = rf"\s*(?:{_DATE}(?:[T, ]+{_TIME}{_TAIL})?)\s*"
 _OF_DAY = rf"\s*(?P<h>\d{{1,2}}):(?P<m>\d{{2}}):(?P<s>\d{{2}}(?:[.,]\d*)?){_TAIL}\s*"
+#: More dates than a log has, if it has nothing but dates.
+_DAYS_OF_A_LOG = 31
+_NOTHING = ("", "nan", "nat", "none")
+_DIGITS = re.compile(r"\d+(?:\.\d*)?")
+#: Date and time of day in one number.
+_IN_ONE = r"^(\d{8})(\d{6}(?:\.\d*)?)$"
 _NO_HOUR = re.compile(r"\s*\d{1,3}:\d{2}(?:[.,]\d+)?\s*")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
@@ -71,7 +77,9 @@ def seconds(cells: npt.NDArray[np.generic], order: str | None, date: datetime.da
     import pandas as pd
 
     texts = pd.Series(cells).astype(str).str.strip()
-    known = texts[~texts.str.lower().isin(("", "nan", "nat", "none"))]
+    if _DIGITS.fullmatch(next((text for text in texts if text.lower() not in _NOTHING), "")):
+        texts = _without_digits_alone(texts)
+    known = texts[~texts.str.lower().isin(_NOTHING)]
     if known.empty:
         return Dated(np.full(len(texts), np.nan), False)
     if order is None and _YEAR_FIRST.match(known.iloc[0]) and not known.iloc[0].isdecimal():
@@ -96,6 +104,11 @@ def seconds(cells: npt.NDArray[np.generic], order: str | None, date: datetime.da
             "show them. Export the column with its date, such as 2026-05-01 12:59:50.5."
         )
     parts = known.str.extract(f"^{_OF_DAY}$").assign(hms=np.nan)
+    if parts["h"].isna().all():
+        raise ValueError(
+            f'"{known.iloc[0]}" is no date and no time of day that is known here. Write it as 2026-05-01T12:59:50.5Z, '
+            "or with the zone as a number: 2026-05-01 14:59:50.5 +02:00."
+        )
     of_day = _of_day(parts).reindex(texts.index).to_numpy(float)
     twelve = _is_twelve(parts, of_day)
     base = of_day % _HALF_DAY_S if twelve else of_day
@@ -105,6 +118,37 @@ def seconds(cells: npt.NDArray[np.generic], order: str | None, date: datetime.da
     midnight = 0.0 if date is None else _DAY_S * (date.toordinal() - datetime.date(1970, 1, 1).toordinal())
     words = "a clock of 12 hours without AM or PM, taken to begin as it reads" if twelve else ""
     return Dated(time_s + midnight - _zone(parts).reindex(texts.index).to_numpy(float), True, words)
+
+
+def _without_digits_alone(texts: Any) -> Any:
+    """Date and time of day in one number, and times of day in one, with signs between."""
+    import pandas as pd
+
+    texts = texts.str.replace(_IN_ONE, r"\1 \2", regex=True)
+    numbers = pd.to_numeric(texts, errors="coerce").to_numpy(float)
+    if not is_clock_face(numbers) and not (_are_faces(numbers) and np.unique(numbers).size > _DAYS_OF_A_LOG):
+        return texts
+    face = texts.str.extract(r"^(\d+)(\.\d*)?$")
+    digits = face[0].str.zfill(6)
+    return (digits.str[:2] + ":" + digits.str[2:4] + ":" + digits.str[4:] + face[1].fillna("")).fillna("")
+
+
+def is_clock_face(numbers: Array) -> bool:
+    """Whether numbers are hours, minutes and seconds in one (hhmmss.s): they pass over what is no second, 60 to 99."""
+    numbers = numbers[np.isfinite(numbers)]
+    step = np.diff(numbers)
+    if step.size < 2 or not _are_faces(numbers):
+        return False
+    over = np.floor(numbers[1:] / 100.0) - np.floor(numbers[:-1] / 100.0) == 1.0
+    usual = float(np.median(step))
+    return 0.0 < usual < 10.0 and bool((np.abs(step[over] - 40.0 - usual) < 3.0 * usual).any())
+
+
+def _are_faces(numbers: Array) -> bool:
+    """Whether all could be hours, minutes and seconds in one."""
+    numbers = numbers[np.isfinite(numbers)]
+    seconds, minutes = numbers % 100.0, np.floor(numbers / 100.0) % 100.0
+    return bool(((numbers >= 0.0) & (numbers < 240000.0) & (seconds < 60.0) & (minutes < 60.0)).all())
 
 
 def _days(parts: Any, order: str | None, date: datetime.date | None, texts: Any) -> tuple[Array, str]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from navfilter.io import read_mission
 from navfilter.io.axis_columns import SIZES, bare_name, found_axes
+from navfilter.io.columns import series_times
 from navfilter.io.series import on_a_grid
 from navfilter.io.table import Table, TableOptions
 from navfilter.io.tables import read_table
@@ -227,8 +228,7 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
     clock = columns.time_column or ("log_time" if columns.rate_hz is None and "log_time" in table.columns else "")
     if clock:
         reference = _reference(table, clock)
-        told = unit(table.units.get(reference, columns.time_unit))
-        time = table.numbers(reference)[0] * told.factor
+        time = series_times(table, reference, columns.time_unit)
     elif columns.rate_hz is not None:
         time = np.arange(next(iter(axes.values())).size) / columns.rate_hz
     else:

@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io import read_mission
+from navfilter.io.columns import series_times
 from navfilter.io.table import TableOptions
 from navfilter.io.tables import Table, read_table
-from navfilter.io.text_tables import delimiter_of, fields_of
+from navfilter.io.text_tables import delimiter_of, fields_of, marked_encoding
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
-from navfilter.io.units import unit
 from navfilter.models.mission import MissionError
 
 __all__ = ["Series", "first_lines", "on_a_grid", "read_series"]
@@ -126,7 +126,7 @@ def read_series(
             raise MissionError(f"{text}: give the sampling rate with --rate-hz, or the time with --time-column.")
         return Series(name, value, float(rate_hz), text, 0.0, tuple(notes))
     reference = _reference(table, time_column)
-    time = table.numbers(reference)[0] * unit(table.units.get(reference, time_unit)).factor
+    time = series_times(table, reference, time_unit)
     if time.shape != value.shape:
         raise MissionError(f'{text}: "{time_column}" has {time.size} values and "{name}" has {value.size}.')
     return on_a_grid(name, time, value, rate_hz, text, notes)
@@ -157,8 +157,9 @@ _BEGINNING = 1 << 20
 def first_lines(path: Path, most: int = 40) -> list[str]:
     """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
     try:
-        with _OPENERS.get(path.suffix.lower(), open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
-            return file.read(_BEGINNING).splitlines(keepends=True)[:most]
+        with _OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
+            data = file.read(_BEGINNING)
+        return data.decode(marked_encoding(data) or "utf-8", errors="replace").splitlines(keepends=True)[:most]
     except (OSError, EOFError, lzma.LZMAError, zlib.error):
         return []
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Runs", "continued", "runs_of", "shown", "strays"]
+__all__ = ["Runs", "continued", "full_after", "runs_of", "shown", "strays"]
 
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -29,6 +29,8 @@ _BACK, _SHUFFLED = 3, 0.1
 _MOST_BACK = 200
 #: A late stamp lies no farther back than this share of a counter's length.
 _LATE = 0.1
+#: Counters that begin anew: of 16 and 32 bits, of the seconds and milliseconds of a day and of a week.
+_COUNTERS = (2.0**16, 2.0**32, 86400.0, 86400e3, 604800.0, 604800e3)
 
 
 def continued(raw: Array, period: float) -> Array:
@@ -53,6 +55,23 @@ def continued(raw: Array, period: float) -> Array:
     result = raw.copy()
     result[known] = x + period * turns
     return result
+
+
+def full_after(raw: Array) -> float | None:
+    """The length of a counter, of those that are usual, that the stamps fill to its end and begin anew; None: they do
+    not.
+    """
+    known = raw[np.isfinite(raw)]
+    step = np.diff(known)
+    back = np.flatnonzero(step < 0.0)
+    if not back.size or not (step > 0.0).any():
+        return None
+    usual = float(np.median(step[step > 0.0]))
+    for period in _COUNTERS:
+        full = (known[back] >= period - 2.0 * usual) & (known[back] < period) & (known[back + 1] <= 2.0 * usual)
+        if full.any() and known.max() < period and usual < _LATE * period:
+            return period
+    return None
 
 
 class Runs(NamedTuple):

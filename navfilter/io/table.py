@@ -106,8 +106,8 @@ class Table:
         """A column, or the texts of several with a blank between, row by row: a date and its time, a number and its
         letter.
         """
-        if not isinstance(reference, tuple):
-            return self.raw(reference)
+        if not isinstance(reference, tuple) or len(reference) == 1:
+            return self.raw(reference[0] if isinstance(reference, tuple) else reference)
         cells = zip(*(self.raw(one) for one in reference), strict=True)
         return np.array([" ".join(str(cell).strip() for cell in row) for row in cells], dtype=object)
 
@@ -232,4 +232,4 @@ class Where(Strict):
 def _shown(value: Any) -> str:
     if isinstance(value, tuple):
         return " or ".join(map(_shown, value))
-    return str(value).lower() if isinstance(value, bool) else f"{value}"
+    return str(value).lower() if isinstance(value, bool) else value if isinstance(value, str) else f"{value:g}"

@@ -19,7 +19,7 @@ from navfilter.io.table import Table, TableOptions
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
 
-__all__ = ["before_comment", "delimiter_of", "fields_of", "read_text"]
+__all__ = ["before_comment", "delimiter_of", "fields_of", "marked_encoding", "read_text"]
 
 #: Where lines end other than by themselves (`str.splitlines`), hold nothing, or have spaces around them.
 _UNTIDY = [b"\r", b"\x0b", b"\x0c", b"\x1c", b"\x1d", b"\x1e", b"\n\n", b"\n ", b" \n"]
@@ -103,6 +103,14 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
     columns = {name: frame[name].to_numpy() for name in names}
     while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
         columns.popitem()
+    found = len(fields_of(first, delimiter))
+    blanks_in_names = delimiter == "whitespace" and found < bare and all(map(_is_blank, columns[names[-1]]))
+    if has_header and (blanks_in_names or len(columns) > bare):
+        raise MissionError(
+            f"{place.shown}: the header has {bare} names, the rows have {found} fields: which belong together cannot "
+            "be told (decimal commas between commas, row numbers without a name, names with blanks?). Write the names: "
+            "header = [..] with skip_lines = 1, or delimiter and decimal."
+        )
     file = Path(place.shown).name
     return Table(place.shown, columns, tuple(f"{file}: {note}" for note in notes), quoted=place.quoted)
 
@@ -112,8 +120,7 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
 
 def _text(place: Place, data: bytes, notes: list[str]) -> bytes:
     """The text as UTF-8 or ASCII, without byte order mark and without zero bytes."""
-    mark = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "")
-    if mark:
+    if mark := marked_encoding(data):
         data = data.decode(mark, errors="replace").encode()
     elif not data.isascii():
         try:
@@ -130,6 +137,11 @@ def _text(place: Place, data: bytes, notes: list[str]) -> bytes:
         raise MissionError(f"{place.shown} is not a text file (it contains zero bytes).")
     notes.append(f"{data.count(0)} zero bytes left out: reserved and never written, as when the power is lost")
     return kept
+
+
+def marked_encoding(data: bytes) -> str:
+    """The encoding that a byte order mark tells; empty where there is none."""
+    return next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "")
 
 
 def _tidy(data: bytes, options: TableOptions) -> bytes:
@@ -239,11 +251,11 @@ def _names(first: str, second: str, delimiter: str, options: TableOptions) -> tu
 
 
 def delimiter_of(line: str, decimal: str | None = None, after: str = "") -> str:
-    """What parts the fields of a line: a tab, a semicolon or a comma outside of quotes, else blanks; of several the one
-    that parts the line behind it into as many.
+    """What parts the fields of a line: a tab, a semicolon, a bar or a comma outside of quotes, else blanks; of several
+    the one that parts the line behind it into as many.
     """
     bare = _QUOTED.sub("", line)
-    there = [candidate for candidate in ("\t", ";", ",") if candidate in bare and candidate != decimal]
+    there = [candidate for candidate in ("\t", ";", "|", ",") if candidate in bare and candidate != decimal]
     alike = [one for one in there if after and len(fields_of(line, one)) == len(fields_of(after, one))]
     if there:
         return (alike or there)[0]

@@ -37,6 +37,7 @@ UNITS: dict[str, Unit] = {
     "mrad": Unit("angle", 1e-3),
     "deg": Unit("angle", _DEG),
     "cdeg": Unit("angle", 1e-2 * _DEG),
+    "gon": Unit("angle", 0.9 * _DEG),
     "degE7": Unit("angle", 1e-7 * _DEG),
     "ddmm": Unit("angle", _DEG),
     "arcmin": Unit("angle", _DEG / 60.0),
@@ -94,6 +95,7 @@ ALIASES = {
     "radians": "rad",
     "degree": "deg",
     "degrees": "deg",
+    "grad": "gon",
     "rad/sec": "rad/s",
     "dps": "deg/s",
     "deg/sec": "deg/s",
@@ -185,7 +187,7 @@ def angles(cells: Any, name: str) -> NDArray[np.float64]:
 #: An angle as text: a letter, degrees, perhaps minutes and seconds, a letter.
 _ANGLE = (
     r"^(?P<before>[NSEWnsew])?\s*(?P<sign>[-+])?(?P<degrees>\d+(?:\.\d*)?)[°d]?"
-    r"(?:[\s:]*(?P<minutes>\d+(?:\.\d*)?)['′m]?(?:[\s:]*(?P<seconds>\d+(?:\.\d*)?)[\"″s]?)?)?\s*(?P<after>[NSEWnsew])?$"
+    r"(?:[\s:]*(?P<minutes>\d+(?:\.\d*)?)['′m]?(?:[\s:]*(?P<seconds>\d+(?:\.\d*)?)(?:[\"″s]|'')?)?)?\s*(?P<after>[NSEWnsew])?$"
 )
 
 

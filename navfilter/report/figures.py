@@ -33,6 +33,7 @@ __all__ = [
     "nis_figure",
     "position_figure",
     "predicted_rms",
+    "separation_figure",
 ]
 
 Array = NDArray[np.float64]
@@ -45,6 +46,11 @@ NEES = "Squared error in units of its predicted variance. Above the grey range: 
 NIS = (
     "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; the grey range "
     "holds 95 % of such means."
+)
+SEPARATION = (
+    "Forward minus smoothed track: what the later readings say against the earlier ones, with the band that honest "
+    "tracks differ by. An error that lasts stays on one side; beyond three bands something pulls that vehicle.toml "
+    "does not describe."
 )
 USED, REJECTED = "#0072b2", "#d55e00"
 
@@ -132,6 +138,34 @@ def position_figure(tracks: Tracks, truth: Stream | None) -> Stack:
     panels = [Panel(name, tuple(parts[i]), shape="symmetric", lines_at=(0.0,)) for i, name in enumerate(names)]
     if any(np.isfinite(part.y).any() for part in parts[3] if isinstance(part, Line)):  # far enough for per cents
         panels.append(Panel("horizontal\n[% of distance]", tuple(parts[3]), shape="from zero"))
+    return Stack(tuple(panels))
+
+
+def separation_figure(forward: Track, smoothed: Track) -> Stack:
+    """Forward minus smoothed track over time, with the standard deviation that honest ones differ by: the root of
+    P_forward - P_smoothed.
+    """
+    if not np.array_equal(forward.time_s, smoothed.time_s):
+        smoothed = smoothed.at(forward.time_s)
+    origin = float(forward.latitude[0]), float(forward.longitude[0])
+    apart = forward.local(*origin) - smoothed.local(*origin)
+    turned = np.degrees(forward.attitude[:, 2] - smoothed.attitude[:, 2])
+    values = np.column_stack([apart, (turned + 180.0) % 360.0 - 180.0])
+    rows, scale = [0, 1, 2, 8], np.array([1.0, 1.0, 1.0, 180.0 / np.pi])
+    variance = np.diagonal(forward.covariance - smoothed.covariance, axis1=1, axis2=2)[:, rows]
+    sd, (hue, dash) = scale * np.sqrt(np.maximum(variance, 0.0)), colour(0)
+    panels = [
+        Panel(
+            name,
+            (
+                Band(forward.time_s, -sd[:, i], sd[:, i], "±1σ", hue),
+                Line(forward.time_s, values[:, i], "forward - smoothed", hue, dash),
+            ),
+            shape="symmetric",
+            lines_at=(0.0,),
+        )
+        for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]"))
+    ]
     return Stack(tuple(panels))
 
 

@@ -130,6 +130,9 @@ def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessm
     yield Section("Position error", (drawn(errors, caption),))
     caption = _band_caption(truth, slice(8, 9))
     yield Section("Heading error", (drawn(figures.heading_figure(tracks, truth), caption),))
+    result = list(tracks.values())[-1]
+    if result.forward is not None:
+        yield Section("Separation", (drawn(figures.separation_figure(result.forward, result), figures.SEPARATION),))
     yield from _trusted(tracks, truth, instrument)
     yield from _lanes(list(tracks.values())[-1], instrument)
     nees = None if truth is None else figures.consistency_figure(tracks, truth)

@@ -179,9 +179,9 @@ def _correcting(found: Survey, uses: list[tuple[Topic, Use]], drive: str) -> lis
 def _fresh(stream: Drafted) -> Drafted:
     """Fixes that are mostly held ones: only the new."""
     column = next((stream.topic.columns[name] for name in ("lat", "Lat", "latitude") if stream.topic.has(name)), None)
-    if stream.reading != "position" or column is None or column.size < 20 or np.ptp(column) == 0.0:
+    if stream.reading != "position" or column is None or column.size < 20 or (column == column[0]).all():
         return stream
-    held = float(np.mean(np.diff(column) == 0.0))
+    held = float(np.mean(column[1:] == column[:-1]))
     if held < _HELD:
         return stream
     words = f"{100 * held:.0f} % of the fixes repeat the one before: only a change is taken for a new one"

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from navfilter.io import dates
 from navfilter.io.axis_columns import bare_name, found_axes, size_of_axes
+from navfilter.io.columns import since_1970, unit_of_times
 from navfilter.io.logs.formats import Format
 from navfilter.io.logs.known_topics import Use
 from navfilter.io.logs.survey import Survey, Topic
@@ -41,13 +42,14 @@ TABLE = Format("a table", "table", (".csv", ".txt", ".dat", ".tsv", ".log", ".as
 #: Quantity -> what its column may be called, in lower case and without its unit.
 _NAMES = {
     "date": r"date|datum|utc_?date|dat",
-    "time": r"t|(?:utc_?|gps_?|date_?|unix_?|log_?)?time|times?tamp|zeit|utc|unix|epoch|seconds?|secs?|t_?utc|elapsed",
+    "time": r"t|(?:utc_?|gps_?|date_?|unix_?|log_?)?time|time_?stamp|zeit|utc|unix|epoch|seconds?|secs?|t_?utc|elapsed",
     "latitude": r"(?:gps|gnss|nav|m)?[_ ]?lat(?:itud\w*|itudine)?",
     "longitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:lon|lng|long)(?:gitud\w*|gitudine)?",
     "height": r"(?:gps|gnss)?[_ ]?(?:height|alt(?:itude)?|elevation|ele|h|hae|hell)",
     "roll": r"(?:m_)?(?:roll|heel|phi)(?:_?angle)?",
     "pitch": r"(?:m_)?(?:pitch|trim|theta)(?:_?angle)?",
-    "heading": r"(?:m_|true_?|mag(?:netic)?_?)?(?:heading|hdg|hdt|hdm|yaw|compass|psi|kurs)(?:_?(?:true|mag|angle))?",
+    "heading": r"(?:m_|true_?|mag(?:netic)?_?|compass_|gyro_|ahrs_|ins_)?(?:heading|hdg|hdt|hdm|yaw|compass|psi|kurs)"
+    r"(?:_?(?:true|mag|angle))?",
     "depth": r"(?:m_)?(?:depth|tiefe|depth_?m)",
     "pressure": r"(?:abs(?:olute)?_?|water_?)?press(?:ure)?(?:_?abs)?",
     "water_speed": r"bsp|boat_?speed|stw|water_?speed|speed_?(?:through_?)?water|log_?speed",
@@ -62,6 +64,28 @@ _VELOCITIES = (
     ("dvl_vx", "dvl_vy", "dvl_vz"),
     ("v_forward", "v_right", "v_down"),
 )
+#: Units that mean nothing else behind a name: "time_ms", "depth_mm".
+_ENDINGS = (
+    "ms",
+    "us",
+    "ns",
+    "s",
+    "sec",
+    "m",
+    "mm",
+    "cm",
+    "ft",
+    "deg",
+    "rad",
+    "kn",
+    "hpa",
+    "kpa",
+    "mbar",
+    "dbar",
+    "bar",
+)
+#: Units by their names in lower case.
+_UNITS = {name.lower(): known for name, known in [*ALIASES.items(), *zip(UNITS, UNITS, strict=True)]}
 #: No vehicle under water is faster [m/s]: larger numbers are millimetres.
 _FASTEST_M_S = 50.0
 #: How many readings a course needs to tell magnetic from true north, and how much they must differ [rad].
@@ -121,11 +145,20 @@ def _is_value(cell: str) -> bool:
 def _named(table: Table, quantity: str, *others: str) -> tuple[str, str] | None:
     """A column that may be this quantity, and the unit that its name says."""
     for name in table.columns:
-        bare, stated = bare_name(name)
-        if re.fullmatch(_NAMES[quantity], bare.replace(" ", "_")) and name not in others:
-            known = ALIASES.get(stated, stated)
-            return name, known if known in UNITS else ""
+        bare, stated = _bare(name)
+        if re.fullmatch(_NAMES[quantity], bare) and name not in others:
+            return name, stated
     return None
+
+
+def _bare(name: str) -> tuple[str, str]:
+    """A column's name in lower case, its words parted by underscores, and the unit behind it, if it is known."""
+    text, stated = bare_name(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name.strip()))
+    text = text.replace(" ", "_")
+    before, _, ending = text.rpartition("_")
+    if not stated and before and ending in _ENDINGS:
+        text, stated = before, ending
+    return text, _UNITS.get(stated, "")
 
 
 # --- times ----------------------------------------------------------------------------------------------------------
@@ -146,9 +179,12 @@ def _clock(table: Table) -> _Clock:
     values = table.numbers(name)[0]
     known = stated if stated and UNITS[stated].dimension == "time" else _unit_of_time(values)
     shown = f', unit = "{known}"' if known != "s" else ""
-    zero = 25569.0 if known == "day" and 36892.0 < np.nanmedian(values) < 73051.0 else 0.0
+    if known == "iso8601":
+        return _dated(table, (name,), table.raw(name))
+    if known == "day":
+        values, _ = since_1970(values)
     guess = "" if stated else f"the times are in {known}, by their size"
-    return _Clock(f"{{column = {json.dumps(name)}{shown}}}", guess, (values - zero) * UNITS[known].factor)
+    return _Clock(f"{{column = {json.dumps(name)}{shown}}}", guess, values * UNITS[known].factor)
 
 
 def _dated(table: Table, columns: tuple[str, ...], raw: npt.NDArray[Any]) -> _Clock:
@@ -167,13 +203,11 @@ def _dated(table: Table, columns: tuple[str, ...], raw: npt.NDArray[Any]) -> _Cl
 
 def _unit_of_time(values: Array) -> str:
     """Times since 1970 tell their unit by their size; others are seconds, or milliseconds of a fast instrument."""
-    size = float(np.nanmedian(np.abs(values)))
-    for name, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-        if 1e9 * factor <= size < 4.1e9 * factor:
-            return name
+    if (told := unit_of_times(values)) != "":
+        return told
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
-    if 36892.0 < size < 73051.0 and step < 0.01:
+    if step < 0.01 and since_1970(values)[1]:
         return "day"
     return "us" if step >= 1e4 else "ms" if step >= 5.0 else "s"
 
@@ -211,7 +245,8 @@ def _headings(table: Table, clock: _Clock) -> Iterator[Use]:
     heading = _named(table, "heading")
     if heading is None:
         return
-    name = _unit_of_angle(table, *heading)
+    if (name := _unit_of_angle(table, *heading)) == "":
+        return
     north = _which_north(table, clock, heading[0], name)
     roll, pitch = _named(table, "roll"), _named(table, "pitch")
     words = f"{heading[0]} in {name}, from {north} north"
@@ -227,13 +262,13 @@ def _headings(table: Table, clock: _Clock) -> Iterator[Use]:
 
 
 def _velocity(table: Table, _: _Clock) -> Iterator[Use]:
-    bare = {bare_name(name)[0].replace(" ", "_"): name for name in table.columns}
+    bare = {_bare(name)[0]: name for name in table.columns}
     for names in _VELOCITIES:
         if all(name in bare for name in names):
             columns = [bare[name] for name in names]
-            stated = ALIASES.get(bare_name(columns[0])[1], bare_name(columns[0])[1])
+            stated = _bare(columns[0])[1]
             size = float(np.nanquantile(np.abs(table.numbers(columns[0])[0]), 0.99))
-            name = stated if stated and stated in UNITS else "mm/s" if size > _FASTEST_M_S else "m/s"
+            name = stated if stated else "mm/s" if size > _FASTEST_M_S else "m/s"
             line = f'velocity = {{columns = {json.dumps(columns)}, unit = "{name}"}}'
             words = f"{', '.join(columns)}: velocity over ground forward, right, down, in {name}"
             yield _use("velocity", (line,), tuple(columns), words)
@@ -269,13 +304,17 @@ def _position(table: Table, _: _Clock) -> Iterator[Use]:
     if latitude is None or longitude is None:
         return
     names = [_unit_of_place(table, one[0], one[1]) for one in (latitude, longitude)]
-    columns, units = [latitude[0], longitude[0]], names
+    whole = [_with_letter(table, latitude[0], "NS"), _with_letter(table, longitude[0], "EW")]
+    columns = [json.dumps(w[0]) if len(w) == 1 else f"{{column = {json.dumps(w)}}}" for w in whole]
+    units = names
+    if "" in names:
+        return
     words = f"{latitude[0]}, {longitude[0]} in {names[0]}"
     height = _named(table, "height")
     if height is not None and np.isfinite(table.numbers(height[0])[0]).any():
-        columns, units = [*columns, height[0]], [*names, height[1] or "m"]
+        columns, units = [*columns, json.dumps(height[0])], [*names, height[1] or "m"]
         words += f"; {height[0]}: its height"
-    line = f"position = {{columns = {json.dumps(columns)}, unit = {json.dumps(units)}, invalid_together = false}}"
+    line = f"position = {{columns = [{', '.join(columns)}], unit = {json.dumps(units)}, invalid_together = false}}"
     yield _use("position", (line,), (latitude[0], longitude[0]), words)
 
 
@@ -283,7 +322,8 @@ def _unit_of_angle(table: Table, name: str, stated: str) -> str:
     if stated and UNITS[stated].dimension == "angle":
         return stated
     largest = float(np.nanmax(np.abs(table.numbers(name)[0]), initial=0.0))
-    return "rad" if largest <= 2.0 * math.pi + 0.01 else "deg"
+    sizes = (("rad", 2.0 * math.pi + 0.01), ("deg", 361.0), ("", 3610.0), ("cdeg", 36100.0))
+    return next((unit for unit, most in sizes if largest <= most), "")
 
 
 def _unit_of_place(table: Table, name: str, stated: str) -> str:
@@ -291,11 +331,20 @@ def _unit_of_place(table: Table, name: str, stated: str) -> str:
         return stated
     raw = table.raw(name)
     if raw.dtype.kind in "OUT":
-        degrees = angles(raw, "ddmm")
-        whole = np.nanmedian(np.abs(angles(raw, "deg")))
+        degrees, plain = angles(raw, "ddmm"), angles(raw, "deg")
+        if np.isnan(plain).all():
+            return ""
+        whole = np.nanmedian(np.abs(plain))
         return "ddmm" if whole > 180.0 or (np.isfinite(degrees).all() and whole > 90.0) else "deg"
     largest = float(np.nanmedian(np.abs(table.numbers(name)[0])))
     return "degE7" if largest > 1e6 else "ddmm" if largest > 180.0 else "deg"
+
+
+def _with_letter(table: Table, name: str, letters: str) -> tuple[str, ...]:
+    """A column of latitudes or longitudes, with the letters of the half of the Earth where they stand behind it."""
+    behind = list(table.columns)[list(table.columns).index(name) + 1 :][:1]
+    cells = {str(cell).strip().upper() for one in behind for cell in table.raw(one).tolist()} - {"", "NAN"}
+    return (name, *behind) if cells and cells <= set(letters) else (name,)
 
 
 def _which_north(table: Table, clock: _Clock, heading: str, name: str) -> str:
@@ -308,7 +357,10 @@ def _which_north(table: Table, clock: _Clock, heading: str, name: str) -> str:
     moment = float(np.nanmedian(clock.time_s))
     if latitude is None or longitude is None or not 1e9 < moment < 4.1e9:
         return "magnetic" if re.search(r"compass|hdg", heading.lower()) else "true"
-    north, east = (angles(table.raw(one[0]), _unit_of_place(table, *one)) for one in (latitude, longitude))
+    north, east = (
+        angles(table.joined(_with_letter(table, one[0], letters)), _unit_of_place(table, *one))
+        for one, letters in ((latitude, "NS"), (longitude, "EW"))
+    )
     if _unit_of_place(table, *latitude) == "degE7":
         north, east = 1e-7 * north, 1e-7 * east
     off, count = _course_off(clock.time_s, north, east, angles(table.raw(heading), name) * UNITS[name].factor)

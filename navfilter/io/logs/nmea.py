@@ -10,6 +10,7 @@ and where no sentence has a time to be believed, it alone.
 from __future__ import annotations
 
 import datetime
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -34,6 +35,10 @@ SENTENCE = re.compile(rb"[$!]((P[A-Z]{3}[A-Z0-9]*|[A-Z]{2}[A-Z0-9]{3}),[^*$!]*)(
 _TIMES = {b"GGA": 1, b"RMC": 1, b"ZDA": 1, b"GNS": 1, b"GLL": 5, b"GST": 1, b"GRS": 1, b"PASHR": 1}
 #: A receiver's clock before its first fix is right where that fix comes within this after it [s].
 _GOES_ON_S = 60.0
+#: Modes of GNS, a letter for each system, of what was measured: not none, reckoned, typed in or simulated.
+_MEASURED = frozenset("ADFPR")
+#: Sentences that are looked at for checksums.
+_LOOKED_AT = 200
 #: Fields of sentences that the library does not know, by their makers' manuals (names as there).
 _BOTTOM_TRACK = ("time", "dt1", "dt2", "vx", "vy", "vz", "fom", "d1", "d2", "d3", "d4")
 _DELTAS = ("time_us", "dt_us", "roll", "pitch", "yaw", "x", "y", "z", "confidence")
@@ -62,7 +67,7 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         for found in SENTENCE.finditer(line):
             told += 1
             received = logger(line[: found.start()]) if told == 1 else received
-            if not _is_sound(found, tally):
+            if not _is_sound(found, tally, clock.signed):
                 continue
             fields = found[1].split(b",")
             topic = _topic(fields)
@@ -89,10 +94,11 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         wanted.clock = OF_DAY
 
 
-def _is_sound(found: re.Match[bytes], tally: Counter[str]) -> bool:
+def _is_sound(found: re.Match[bytes], tally: Counter[str], signed: bool) -> bool:
     if found[3] is None:
-        tally["sentences without a checksum left out"] += 1
-        return False
+        words = "left out" if signed else "taken as they are: none of the file has one"
+        tally[f"sentences without a checksum {words}"] += 1
+        return not signed
     if reduce(xor, found[1]) != int(found[3], 16):
         tally["sentences with a wrong checksum left out"] += 1
         return False
@@ -111,7 +117,7 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
     if short_name(topic) == "XDR":
         return _transducers(found[1].decode("ascii", "replace").split(",")[1:])
     try:
-        message = NMEAReader.parse(found[0] + b"\r\n", msgmode=0, validate=0)
+        message = NMEAReader.parse(found[0] + (b"\r\n" if found[3] else b"*00\r\n"), msgmode=0, validate=0)
     except (NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError, ValueError, KeyError, IndexError):
         message = None
     if message is None:  # of a sentence that it does not know
@@ -122,6 +128,8 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
     record = {key: None if value == "" else value for key, value in own.items() if not key.startswith("_")}
     if short_name(topic) == "HDG":
         record |= _corrected(topic, record, tally)
+    if short_name(topic) == "GNS" and not _MEASURED & set(str(record.get("posMode"))):
+        record |= {"lat": None, "lon": None}
     if topic == "PTNLGGK":
         record["height"] = _number(str(record.get("height")).removeprefix("EHT"))
     return record
@@ -208,6 +216,8 @@ def _has_fix(fields: list[bytes]) -> bool | None:
         return fields[place] == b"A" if len(fields) > place else None
     if kind == b"GGA" and len(fields) > 6:
         return fields[6] not in (b"", b"0")
+    if kind == b"GNS" and len(fields) > 6:
+        return bool(_MEASURED & set(fields[6].decode("ascii", "replace")))
     if fields[0] == b"PTNL" and len(fields) > 8 and fields[1] == b"GGK":
         return fields[8] not in (b"", b"0")
     return None
@@ -241,12 +251,15 @@ class _Ahead(NamedTuple):
         How many sentences up to that date say that there is a fix; 0: none does in the whole file.
     cold : bool
         Whether sentences before the first fix have a time that does not go on with it.
+    signed : bool
+        Whether sentences have checksums.
     """
 
     date: datetime.date | None
     has_times: bool
     fixes: int
     cold: bool
+    signed: bool
 
 
 def _look_ahead(path: Path, allowance: Allowance) -> _Ahead:
@@ -255,9 +268,10 @@ def _look_ahead(path: Path, allowance: Allowance) -> _Ahead:
     doubtful: datetime.date | None = None
     last_s: float | None = None
     cold = False
+    signed = _has_checksums(path, allowance)
     for line in lines(path, Counter(), Allowance(allowance.left)):
         for found in SENTENCE.finditer(line):
-            if not _is_sound(found, Counter()):
+            if not _is_sound(found, Counter(), signed):
                 continue
             fields = found[1].split(b",")
             time_of_day, date, fix = _time_of_day(fields), _date(fields), _has_fix(fields)
@@ -267,8 +281,14 @@ def _look_ahead(path: Path, allowance: Allowance) -> _Ahead:
                 cold = not 0.0 <= (time_of_day - last_s) % 86400.0 <= _GOES_ON_S
             fixes += fix is True
             if date is not None and (fix or (fix is None and (fixes or not without))):
-                return _Ahead(date, has_times, fixes, cold)
+                return _Ahead(date, has_times, fixes, cold, signed)
             if fix is False and not fixes and time_of_day is not None:
                 last_s = time_of_day
                 doubtful = doubtful or date
-    return _Ahead(None if fixes else doubtful, has_times, fixes, cold or (not fixes and without))
+    return _Ahead(None if fixes else doubtful, has_times, fixes, cold or (not fixes and without), signed)
+
+
+def _has_checksums(path: Path, allowance: Allowance) -> bool:
+    """Whether any of the first sentences has a checksum."""
+    told = (found for line in lines(path, Counter(), Allowance(allowance.left)) for found in SENTENCE.finditer(line))
+    return any(found[3] is not None for found in itertools.islice(told, _LOOKED_AT))

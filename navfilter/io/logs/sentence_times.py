@@ -12,6 +12,8 @@ __all__ = ["Carrier"]
 _DAY_S = 86400.0
 #: 1970-01-01 as `datetime.date.toordinal` counts.
 _EPOCH = 719163
+#: Stamps beyond this have a date [s].
+_SINCE_1970_S = 1e9
 #: More than this cannot come between two times of a living receiver; bounds the memory.
 _MOST_WAITING = 5000
 #: Times farther apart than this are a gap, not a cycle [s].
@@ -52,6 +54,9 @@ class Carrier:
         else:
             if date is not None:
                 self._midnight = _DAY_S * (date.toordinal() - _EPOCH)
+            elif not self.dated and received is not None and received >= _SINCE_1970_S:
+                self._tally["file without a date (no RMC, no ZDA): it is that of the logger's stamps"] += 1
+                self._midnight, self.dated = _DAY_S * round((received - time_of_day) / _DAY_S), True
             time_s = self._midnight + time_of_day
             if date is None and self._now is not None and time_s < self._now - 0.5 * _DAY_S:
                 self._midnight += _DAY_S

@@ -94,6 +94,7 @@ FORMATS: tuple[TrackFormat, ...] = (
     TrackFormat(".tum", "evo and other tools that compare trajectories", "tum", always=True),
     TrackFormat(".geojson", "QGIS and web maps: track with times and sd, truth, fixes", "geojson", always=True),
     TrackFormat(".kml", "Google Earth: track with times and sd", "kml", place=True),
+    TrackFormat(".kmz", "the same in a tenth of the room", "kml", place=True),
     TrackFormat(".gpx", "chart plotters and GPS tools: track with times", "gpx", place=True),
     TrackFormat(".mcap", "Foxglove, PlotJuggler: odometry, fix, NIS and health of sensors", "ros", "rosbags", "ros"),
     TrackFormat(".rosbag", "the same as a ROS 2 bag, for 'ros2 bag play'", "ros", "rosbags", "ros"),
@@ -110,7 +111,7 @@ def write_track(track: Track, path: str | os.PathLike[str], mission: Mission | N
     ----------
     track : Track
     path : path-like
-        One of .csv, .tum, .geojson, .kml, .gpx, .mcap, .rosbag (a folder), .sbet, .mat, .nc. What is there is
+        One of .csv, .tum, .geojson, .kml, .kmz, .gpx, .mcap, .rosbag (a folder), .sbet, .mat, .nc. What is there is
         replaced, whole.
     mission : Mission, optional
         Puts truth and fixes beside the track in a .geojson.

@@ -5,14 +5,17 @@ Heights are those of the track, above the ellipsoid where fixes gave them; KML m
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 from xml.sax.saxutils import escape
 
 import numpy as np
 
 from navfilter.foundation import utc
-from navfilter.io.tracks.atomic_files import pieces, replacing
+from navfilter.io.tracks.atomic_files import pieces, replacing, replacing_binary
 from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
@@ -31,27 +34,38 @@ _TAIL = "</Placemark></Document></kml>\n"
 
 
 def write(track: Track, path: Path, mission: Mission | None = None) -> None:
-    """The track."""
+    """The track; as .kmz the same, packed."""
+    if path.suffix.lower() == ".kml":
+        with replacing(path) as file:
+            _write(track, file)
+        return
+    with (
+        replacing_binary(path) as packed,
+        zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("doc.kml", "w", force_zip64=True) as plain,
+        io.TextIOWrapper(plain, "utf-8", newline="\n") as file,
+    ):
+        _write(track, file)
+
+
+def _write(track: Track, file: TextIO) -> None:
     about = f"{track.vehicle.name}, {track.distance_m:.0f} m"
-    with replacing(path) as file:
-        file.write(
-            _HEAD.format(mission=xml_text(track.mission_name), label=xml_text(track.label), about=xml_text(about))
-        )
-        if track.epoch_utc_s is None:
-            file.write("<LineString><altitudeMode>absolute</altitudeMode><coordinates>\n")
-            file.writelines(f"{','.join(place)}\n" for place in _places(track))
-            file.write("</coordinates></LineString>\n")
-        else:
-            file.write("<gx:Track><altitudeMode>absolute</altitudeMode>\n")
-            for rows in pieces(len(track)):
-                times = utc.text(track.time_s[rows], track.epoch_utc_s, "ms")
-                file.writelines(f"<when>{time}</when>\n" for time in times)
-            file.writelines(f"<gx:coord>{' '.join(place)}</gx:coord>\n" for place in _places(track))
-            file.write('<ExtendedData><SchemaData schemaUrl="#sd"><gx:SimpleArrayData name="sd_horizontal_m">\n')
-            sd = np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
-            file.writelines(f"<gx:value>{value:.3f}</gx:value>\n" for value in sd)
-            file.write("</gx:SimpleArrayData></SchemaData></ExtendedData></gx:Track>\n")
-        file.write(_TAIL)
+    file.write(_HEAD.format(mission=xml_text(track.mission_name), label=xml_text(track.label), about=xml_text(about)))
+    if track.epoch_utc_s is None:
+        file.write("<LineString><altitudeMode>absolute</altitudeMode><coordinates>\n")
+        file.writelines(f"{','.join(place)}\n" for place in _places(track))
+        file.write("</coordinates></LineString>\n")
+    else:
+        file.write("<gx:Track><altitudeMode>absolute</altitudeMode>\n")
+        for rows in pieces(len(track)):
+            times = utc.text(track.time_s[rows], track.epoch_utc_s, "ms")
+            file.writelines(f"<when>{time}</when>\n" for time in times)
+        file.writelines(f"<gx:coord>{' '.join(place)}</gx:coord>\n" for place in _places(track))
+        file.write('<ExtendedData><SchemaData schemaUrl="#sd"><gx:SimpleArrayData name="sd_horizontal_m">\n')
+        sd = np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
+        file.writelines(f"<gx:value>{value:.3f}</gx:value>\n" for value in sd)
+        file.write("</gx:SimpleArrayData></SchemaData></ExtendedData></gx:Track>\n")
+    file.write(_TAIL)
 
 
 def _places(track: Track) -> Iterator[tuple[str, str, str]]:
