@@ -1,7 +1,8 @@
 """Which tests wait for the night: ``pytest --junitxml=times.xml -m "" && python tests/tiers.py times.xml``.
 
-Adds to ``nightly.txt`` (empty it to begin anew). A test stays in the default tier where it takes less than `QUICK_S`; of those that take longer
-each file keeps the shortest ones, as long as they take no more than `KEPT_S` together: one mission per behaviour.
+Adds to ``nightly.txt``; empty it to begin anew. A test stays in the default tier where it takes less than `QUICK_S`; of
+those that take longer each file keeps the shortest, as long as they take no more than `KEPT_S` together: one mission
+per behaviour.
 """
 
 import sys

@@ -146,8 +146,7 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         cure = 'A heading counted from east counter-clockwise needs scale = -1 and offset = "90 deg"'
         cure += "; or latitude and longitude are exchanged." if fit.exchanged else "."
         yield Finding("error", heading, "the heading turns the wrong way against the course over ground.", cure)
-    # a factor far beyond -1 is the fixes' own error, against a vehicle that hardly moves sideways
-    if fit.side_sign < 0 or (not mirrored and -3.0 < fit.side < -0.3 and fit.side + SURE * fit.side_sd < 0.0):
+    if fit.side_sign < 0 or (not mirrored and fit.side < -0.3 and fit.side + SURE * fit.side_sd < 0.0):
         yield mirrored_finding(name, "it fits the positions with its y axis reversed")
     if not mirrored and abs(angle) > max(15.0 if streams.rough else 4.0, sure[1]):
         text = f"the velocity must be turned by {angle:+.1f} deg to follow the course over ground."

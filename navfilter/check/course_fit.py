@@ -211,10 +211,17 @@ def _relative(way: Complex, wanted: Complex, ratio: complex) -> Array:
 def _sideways(
     paths: Paths, wanted: Complex, kept: NDArray[np.bool_], ratio: complex, late_s: float
 ) -> tuple[float, float]:
-    """Factor of the sideways velocity that fits the positions best beside the forward one, with its sd."""
+    """Factor of the sideways velocity that fits the positions best beside the forward one, with its sd.
+
+    In turns a delay and a lever arm move the positions sideways as well, a mounting always: they are fitted beside it.
+    """
     turned = wanted[kept] * (abs(ratio) / ratio)
     axes = (paths.body.real.astype(complex), paths.body.imag.astype(complex))
     parts = [paths.way(part, late_s)[kept] for part in (axes[0], 1j * axes[1])]
+    at = paths.time_s - late_s
+    arm = paths.moved(at, np.exp(1j * np.interp(at, *paths.heading)))[kept]
+    delayed = (paths.way(paths.body, late_s + 0.5) - paths.way(paths.body, late_s - 0.5))[kept]
+    parts += [1j * parts[0], arm, 1j * arm, delayed]
     # north and east of a window stand side by side, so that a tenth is a stretch of the mission
     columns = np.column_stack([part.view(float) for part in parts])
     best, sd = factors(columns, turned.view(float))

@@ -163,7 +163,7 @@ def axes_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding
 
 def _accelerations(imu: Stream, stream: Stream, mounting: Array) -> tuple[Array, ...] | None:
     """Changes of horizontal acceleration from window to window, as complex numbers x + iy: by a velocity and a gyro; by
-    the accelerometers as they are read; with y of the whole unit the other way round; and with that of the forces alone.
+    the accelerometers as read; with y of the whole unit the other way round; with that of the forces alone.
     """
     v = vector(stream, "v_x_m_s") @ mounting.T
     known = np.asarray(np.isfinite(v[:, :2]).all(axis=1))
