@@ -181,6 +181,8 @@ def course_fit(paths: Paths) -> CourseFit | None:
     left = np.abs(wanted - share(way, wanted)[1] * way)
     kept = left <= 5.0 * float(np.median(left))
     residual, ratio = share(way[kept], wanted[kept])
+    if not ratio:
+        return None  # the velocity, or all positions but outliers, stand still
     _, spread = jackknife(lambda rows: _relative(way[kept][rows], wanted[kept][rows], ratio), int(kept.sum()))
     wander = _wander(paths)
     sd = (math.hypot(spread[0], wander), math.hypot(spread[1], wander))
