@@ -242,7 +242,7 @@ class Iwakf:
 
     def _starts(self, flat: Array) -> list[Array]:
         """Two places to begin: an AR(p) of the detrended series; a short memory with the power of its increments."""
-        autoregression = nf.burg(flat, self.p)
+        autoregression = nf.timeseries.burg(flat, self.p)
         zeros = np.zeros(self.q)
         short = np.r_[-1.0, np.zeros(self.p - 1), zeros, np.log(np.std(np.diff(flat)))]
         long = np.r_[np.arctanh(np.clip(partials(autoregression.ar), -0.99, 0.99)), zeros, np.log(autoregression.sd)]

@@ -70,9 +70,11 @@ def noises() -> dict[str, nf.ArmaModel]:
     both = [[r * np.exp(s * 1j * a * DEG) for r, a in pairs for s in (1, -1)] for pairs in (lines, gaps)]
     return {
         "compass-like (4,2)": scaled([0.97, 0.5, 0.9 * np.exp(0.8j), 0.9 * np.exp(-0.8j)], [0.85, -0.3], 0.63),
-        "slow + oscillating (4,2)": nf.add_arma([slow, scaled([swing, swing.conjugate()], [], 0.35)]),
-        "GM2, 10 s": nf.gauss_markov_arma(2, 0.5 * DEG, nf.correlation_product(2) / 10.0, RATE_HZ),
-        "GM1, 30 s": nf.gauss_markov_arma(1, 0.6 * DEG, 1.0 / 30.0, RATE_HZ),
+        "slow + oscillating (4,2)": nf.timeseries.add_arma([slow, scaled([swing, swing.conjugate()], [], 0.35)]),
+        "GM2, 10 s": nf.timeseries.gauss_markov_arma(
+            2, 0.5 * DEG, nf.timeseries.correlation_product(2) / 10.0, RATE_HZ
+        ),
+        "GM1, 30 s": nf.timeseries.gauss_markov_arma(1, 0.6 * DEG, 1.0 / 30.0, RATE_HZ),
         "white": nf.ArmaModel([], [], 0.5 * DEG),
         "comb (10,9)": scaled(
             [math.exp(-1.0 / (60.0 * RATE_HZ)), *both[0], -0.9948, 0.5087, -0.3461],
@@ -107,7 +109,7 @@ class Belief:
 
 def one_over_e(window: Array) -> nf.ArmaModel:
     """Gauss-Markov of first order through the 1/e point of the detrended series."""
-    return nf.fit_gauss_markov(window, 1, RATE_HZ, method="1/e", trend="linear").model
+    return nf.timeseries.fit_gauss_markov(window, 1, RATE_HZ, method="1/e", trend="linear").model
 
 
 def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:

@@ -27,24 +27,16 @@ __version__ = "0.1.0"
 #: Public names by the module that holds them; imported when first used, so that ``navfilter --help`` answers at once.
 _FACE = {
     "models.alignment": "align",
-    "timeseries.polynomials": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
     "calibration.beacons": "locate_beacons",
     "calibration.calibrate": "Calibration calibrate",
-    "timeseries.online.order_bank": "ArmaBank",
-    "timeseries.fit": "ArmaFit fit_arma",
-    "timeseries.online.preprocessing": "FrontEnd",
-    "timeseries.gauss_markov": "GaussMarkovFit correlation_product fit_gauss_markov gauss_markov_arma",
-    "timeseries.model": "ArmaModel forecast_arma log_s0_sd simulate_arma",
+    "timeseries.fit": "fit_arma",
+    "timeseries.model": "ArmaModel simulate_arma",
     "timeseries.online.recursive": "RecursiveArma",
-    "timeseries.order": "OrderTable select_order",
-    "timeseries.periodic_motion": "find_motion_band subtract_motion",
-    "timeseries.roots": "is_stable",
-    "timeseries.spectral": "spectral_factor",
-    "timeseries.initial_values": "burg hannan_rissanen yule_walker",
+    "timeseries.order": "select_order",
     "evaluation.comparison": "Comparison compare",
-    "timeseries.diagnostics": "Whiteness acf allan_deviation allan_edf cross_correlation pacf whiteness",
+    "timeseries.diagnostics": "acf pacf whiteness",
     "models.periodic_error": "Cycle",
-    "models.error_models": "Arma ErrorModel GaussMarkov RandomWalk White",
+    "models.error_models": "Arma Block ErrorModel GaussMarkov RandomWalk White",
     "io": "read_mission read_vehicle",
     "models.learned_arma": "LearnedArma",
     "models.magnetic": "calibrate_magnetometer declination",
@@ -57,6 +49,9 @@ _FACE = {
     "evaluation.baselines": "rival",
     "models.sensors": "Altitude Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
     "WaterVelocity ZeroRate ZeroVelocity",
+    "models.parameters": "Parameter",
+    "models.sensors.observable": "Observable",
+    "models.sensors.sensor": "Sensor",
     "models.state": "NavState",
     "filter.records": "Tape",
     "track.track": "Track",
@@ -82,6 +77,7 @@ if TYPE_CHECKING:
     from navfilter.io.tracks.formats import write_track as write_track
     from navfilter.models.alignment import align as align
     from navfilter.models.error_models import Arma as Arma
+    from navfilter.models.error_models import Block as Block
     from navfilter.models.error_models import ErrorModel as ErrorModel
     from navfilter.models.error_models import GaussMarkov as GaussMarkov
     from navfilter.models.error_models import RandomWalk as RandomWalk
@@ -93,6 +89,7 @@ if TYPE_CHECKING:
     from navfilter.models.mechanisation import Imu as Imu
     from navfilter.models.mission import Mission as Mission
     from navfilter.models.mission import Stream as Stream
+    from navfilter.models.parameters import Parameter as Parameter
     from navfilter.models.periodic_error import Cycle as Cycle
     from navfilter.models.sensors import Altitude as Altitude
     from navfilter.models.sensors import Attitude as Attitude
@@ -108,6 +105,8 @@ if TYPE_CHECKING:
     from navfilter.models.sensors import WaterVelocity as WaterVelocity
     from navfilter.models.sensors import ZeroRate as ZeroRate
     from navfilter.models.sensors import ZeroVelocity as ZeroVelocity
+    from navfilter.models.sensors.observable import Observable as Observable
+    from navfilter.models.sensors.sensor import Sensor as Sensor
     from navfilter.models.start import Start as Start
     from navfilter.models.state import NavState as NavState
     from navfilter.models.vehicle import Vehicle as Vehicle
@@ -116,40 +115,14 @@ if TYPE_CHECKING:
     from navfilter.navigation.navigator import Outcome as Outcome
     from navfilter.playback.replay import replay as replay
     from navfilter.playback.warm_up import warm_up as warm_up
-    from navfilter.timeseries.diagnostics import Whiteness as Whiteness
     from navfilter.timeseries.diagnostics import acf as acf
-    from navfilter.timeseries.diagnostics import allan_deviation as allan_deviation
-    from navfilter.timeseries.diagnostics import allan_edf as allan_edf
-    from navfilter.timeseries.diagnostics import cross_correlation as cross_correlation
     from navfilter.timeseries.diagnostics import pacf as pacf
     from navfilter.timeseries.diagnostics import whiteness as whiteness
-    from navfilter.timeseries.fit import ArmaFit as ArmaFit
     from navfilter.timeseries.fit import fit_arma as fit_arma
-    from navfilter.timeseries.gauss_markov import GaussMarkovFit as GaussMarkovFit
-    from navfilter.timeseries.gauss_markov import correlation_product as correlation_product
-    from navfilter.timeseries.gauss_markov import fit_gauss_markov as fit_gauss_markov
-    from navfilter.timeseries.gauss_markov import gauss_markov_arma as gauss_markov_arma
-    from navfilter.timeseries.initial_values import burg as burg
-    from navfilter.timeseries.initial_values import hannan_rissanen as hannan_rissanen
-    from navfilter.timeseries.initial_values import yule_walker as yule_walker
     from navfilter.timeseries.model import ArmaModel as ArmaModel
-    from navfilter.timeseries.model import forecast_arma as forecast_arma
-    from navfilter.timeseries.model import log_s0_sd as log_s0_sd
     from navfilter.timeseries.model import simulate_arma as simulate_arma
-    from navfilter.timeseries.online.order_bank import ArmaBank as ArmaBank
-    from navfilter.timeseries.online.preprocessing import FrontEnd as FrontEnd
     from navfilter.timeseries.online.recursive import RecursiveArma as RecursiveArma
-    from navfilter.timeseries.order import OrderTable as OrderTable
     from navfilter.timeseries.order import select_order as select_order
-    from navfilter.timeseries.periodic_motion import find_motion_band as find_motion_band
-    from navfilter.timeseries.periodic_motion import subtract_motion as subtract_motion
-    from navfilter.timeseries.polynomials import BiasPlusWhite as BiasPlusWhite
-    from navfilter.timeseries.polynomials import add_arma as add_arma
-    from navfilter.timeseries.polynomials import bias_plus_white as bias_plus_white
-    from navfilter.timeseries.polynomials import resample_arma as resample_arma
-    from navfilter.timeseries.polynomials import split_bias as split_bias
-    from navfilter.timeseries.roots import is_stable as is_stable
-    from navfilter.timeseries.spectral import spectral_factor as spectral_factor
     from navfilter.track.track import Track as Track
 
 
@@ -168,6 +141,8 @@ sys.meta_path.append(_Moved)
 
 
 def __getattr__(name: str) -> Any:
+    if name == "timeseries":
+        return importlib.import_module("navfilter.timeseries")
     if name not in _HOME:
         # with these two Python says what may have been meant
         raise AttributeError(f"module 'navfilter' has no attribute '{name}'", name=name, obj=sys.modules[__name__])

@@ -86,13 +86,13 @@ def test_simulation_repeats_with_its_seed_and_walks_from_zero():
 
 
 def test_forecast_of_an_ar1_decays_and_its_sd_grows():
-    mean, sd = nf.forecast_arma(nf.ArmaModel([-0.8], [], 2.0), [0.0, 3.0, 5.0], 3)
+    mean, sd = nf.timeseries.forecast_arma(nf.ArmaModel([-0.8], [], 2.0), [0.0, 3.0, 5.0], 3)
     np.testing.assert_allclose(mean, [4.0, 3.2, 2.56])
     np.testing.assert_allclose(sd, 2.0 * np.sqrt([1.0, 1.64, 2.0496]))
     with pytest.raises(ValueError, match="invertible"):
-        nf.forecast_arma(nf.ArmaModel([], [1.5], 1.0), [1.0], 1)
+        nf.timeseries.forecast_arma(nf.ArmaModel([], [1.5], 1.0), [1.0], 1)
     with pytest.raises(ValueError, match="not finite"):
-        nf.forecast_arma(nf.ArmaModel([], [0.5], 1.0), [np.nan], 1)
+        nf.timeseries.forecast_arma(nf.ArmaModel([], [0.5], 1.0), [np.nan], 1)
 
 
 def roots_within(radius):
@@ -109,7 +109,7 @@ def roots_within(radius):
 @given(ar=roots_within(0.95), ma=roots_within(0.95), m=st.integers(1, 6))
 def test_resampled_model_has_the_decimated_autocovariance(ar, ma, m):
     model = nf.ArmaModel(ar, ma, 1.3)
-    slow = nf.resample_arma(model, m)
+    slow = nf.timeseries.resample_arma(model, m)
     wanted = model.autocovariance(8 * m)[::m]
     # Multiple poles raised to the m-th power and factored again lose digits.
     np.testing.assert_allclose(slow.autocovariance(8), wanted, atol=2e-6 * wanted[0])
@@ -119,13 +119,13 @@ def test_resampled_model_has_the_decimated_autocovariance(ar, ma, m):
 
 def test_resampling_crosses_unit_roots():
     # Random walk + white, every 10th sample: the walk's drive is sqrt(10) larger, the white noise the same.
-    fast = nf.bias_plus_white(nf.ArmaModel([-1.0], [-0.98], 1.0))
-    slow = nf.bias_plus_white(nf.resample_arma(nf.ArmaModel([-1.0], [-0.98], 1.0), 10))
+    fast = nf.timeseries.bias_plus_white(nf.ArmaModel([-1.0], [-0.98], 1.0))
+    slow = nf.timeseries.bias_plus_white(nf.timeseries.resample_arma(nf.ArmaModel([-1.0], [-0.98], 1.0), 10))
     assert slow.pole == pytest.approx(1.0)
     assert slow.drive_sd == pytest.approx(fast.drive_sd * np.sqrt(10.0), rel=1e-9)
     assert slow.white_sd == pytest.approx(fast.white_sd, rel=1e-9)
     with pytest.raises(ValueError, match="whole number"):
-        nf.resample_arma(nf.ArmaModel([-1.0], [], 1.0), 0)
+        nf.timeseries.resample_arma(nf.ArmaModel([-1.0], [], 1.0), 0)
 
 
 @settings(max_examples=60)
@@ -141,7 +141,7 @@ def test_spectral_factor_recovers_a_triple_zero_on_the_circle():
 
 def factor_and_compare(model):
     """The factor of the model's autocovariance has that autocovariance, and no larger an innovation."""
-    found, found_sd = nf.spectral_factor(model.autocovariance(model.q))
+    found, found_sd = nf.timeseries.spectral_factor(model.autocovariance(model.q))
     # Zeros on the circle are double zeros of the spectrum: half the digits.
     np.testing.assert_allclose(
         nf.ArmaModel([], found, found_sd).autocovariance(model.q),
@@ -154,24 +154,24 @@ def factor_and_compare(model):
 
 def test_spectral_factor_refuses_what_is_no_autocovariance():
     with pytest.raises(ValueError, match="not an autocovariance"):
-        nf.spectral_factor([1.0, 0.9])
+        nf.timeseries.spectral_factor([1.0, 0.9])
     with pytest.raises(ValueError, match="positive at lag 0"):
-        nf.spectral_factor([0.0])
+        nf.timeseries.spectral_factor([0.0])
 
 
 def test_sum_of_models_has_the_sum_of_spectra():
     parts = [nf.ArmaModel([-0.9], [], 0.3), nf.ArmaModel([], [], 1.0), nf.ArmaModel([0.2, 0.8], [0.4], 0.5)]
     freq = np.linspace(0.0, 0.5, 50)
-    total = nf.add_arma(parts)
+    total = nf.timeseries.add_arma(parts)
     assert (total.p, total.q) == (3, 3)
     np.testing.assert_allclose(total.spectrum(freq, 1.0), sum(m.spectrum(freq, 1.0) for m in parts), rtol=1e-9)
-    assert nf.add_arma([]).sd == 0.0
+    assert nf.timeseries.add_arma([]).sd == 0.0
 
 
 @settings(max_examples=80)
 @given(pole=st.floats(0.05, 1.0), drive=st.floats(1e-3, 10.0), white=st.floats(1e-3, 10.0))
 def test_bias_plus_white_and_back(pole, drive, white):
-    reading = nf.bias_plus_white(nf.BiasPlusWhite(white, drive, pole).model)
+    reading = nf.timeseries.bias_plus_white(nf.timeseries.BiasPlusWhite(white, drive, pole).model)
     assert reading.pole == pytest.approx(pole, abs=1e-12)
     # A part 1e-4 times the other's sd is 1e-8 of its variance, so it keeps half the digits.
     assert reading.drive_sd == pytest.approx(drive, abs=1e-6 * max(drive, white))
@@ -180,16 +180,16 @@ def test_bias_plus_white_and_back(pole, drive, white):
 
 def test_lines_are_read_from_a_larger_model():
     line = nf.ArmaModel([1.9, 0.95], [0.97], 0.05)
-    total = nf.add_arma([nf.ArmaModel([-1.0], [], 0.02), nf.ArmaModel([], [], 1.0), line])
-    reading = nf.bias_plus_white(total)
+    total = nf.timeseries.add_arma([nf.ArmaModel([-1.0], [], 0.02), nf.ArmaModel([], [], 1.0), line])
+    reading = nf.timeseries.bias_plus_white(total)
     assert reading.drive_sd == pytest.approx(0.02, rel=1e-6)
     assert reading.white_sd == pytest.approx(1.0, rel=1e-6)
     assert reading.lines[0].freq == pytest.approx(0.464, abs=1e-3)
     assert reading.lines[0].sd == pytest.approx(np.sqrt(line.variance), rel=0.05)
     with pytest.raises(ValueError, match="moving average"):
-        nf.bias_plus_white(nf.ArmaModel([], [0.5], 1.0))
+        nf.timeseries.bias_plus_white(nf.ArmaModel([], [0.5], 1.0))
     with pytest.raises(ValueError, match="no split"):
-        nf.bias_plus_white(nf.ArmaModel([-0.5], [0.9], 1.0))
+        nf.timeseries.bias_plus_white(nf.ArmaModel([-0.5], [0.9], 1.0))
 
 
 def test_log_s0_sd_is_the_spread_of_the_estimated_density_at_zero():
@@ -198,13 +198,15 @@ def test_log_s0_sd_is_the_spread_of_the_estimated_density_at_zero():
     predicted = np.mean([f.model.sd_log_s0 for f in fits])
     # The sd of 120 values is known to 6.5 %; 3 sd.
     assert np.std(logs) == pytest.approx(predicted, rel=0.2)
-    assert nf.log_s0_sd([-1.0], [], [[1.0]], 100) == np.inf
+    assert nf.timeseries.log_s0_sd([-1.0], [], [[1.0]], 100) == np.inf
 
 
 @given(ma=roots_within(0.999))
 @settings(max_examples=50)
 def test_is_stable_agrees_with_the_roots(ma):
-    assert nf.is_stable(ma)
+    assert nf.timeseries.is_stable(ma)
     if ma.size:
         largest = np.abs(np.roots(np.r_[1.0, ma])).max()
-        assert not nf.is_stable(ma * (1.5 / max(largest, 1e-3)) ** np.arange(1, ma.size + 1)) or largest < 1e-3
+        assert (
+            not nf.timeseries.is_stable(ma * (1.5 / max(largest, 1e-3)) ** np.arange(1, ma.size + 1)) or largest < 1e-3
+        )

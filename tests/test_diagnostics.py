@@ -24,11 +24,11 @@ def test_acf_and_pacf_equal_statsmodels():
 
 def test_cross_correlation_finds_the_delay_and_equals_statsmodels():
     late = np.roll(SERIES, 3) + 0.1 * np.random.default_rng(2).normal(size=SERIES.size)
-    r = nf.cross_correlation(SERIES, late, 10)
+    r = nf.timeseries.cross_correlation(SERIES, late, 10)
     assert np.argmax(r) - 10 == 3
     np.testing.assert_allclose(r[10:], sm_ccf(late, SERIES, adjusted=False)[:11], atol=1e-12)
     with pytest.raises(ValueError, match="same length"):
-        nf.cross_correlation(SERIES, late[:-1], 3)
+        nf.timeseries.cross_correlation(SERIES, late[:-1], 3)
 
 
 def test_acf_takes_a_missing_sample_as_absent():
@@ -89,10 +89,10 @@ def test_fitted_coefficients_cost_degrees_of_freedom():
         (lambda: nf.whiteness(SERIES, fitted=10, lags=10), "fitted \\+ 1"),
         (lambda: nf.whiteness(SERIES, level=2.0), "level"),
         (lambda: nf.whiteness(np.full(99, np.nan)), "all 99 samples are NaN"),
-        (lambda: nf.allan_deviation(SERIES, -1.0), "rate_hz"),
-        (lambda: nf.allan_deviation(SERIES, 1.0, [700]), "averages must span"),
-        (lambda: nf.fit_gauss_markov(SERIES, 0, 1.0), "order"),
-        (lambda: nf.fit_gauss_markov(SERIES, 1, 1.0, "moments"), "method"),
+        (lambda: nf.timeseries.allan_deviation(SERIES, -1.0), "rate_hz"),
+        (lambda: nf.timeseries.allan_deviation(SERIES, 1.0, [700]), "averages must span"),
+        (lambda: nf.timeseries.fit_gauss_markov(SERIES, 0, 1.0), "order"),
+        (lambda: nf.timeseries.fit_gauss_markov(SERIES, 1, 1.0, "moments"), "method"),
     ],
 )
 def test_bad_input_is_refused_clearly(call, message):
@@ -114,18 +114,18 @@ def test_any_series_gives_numbers_or_a_value_error(series, lags):
 def test_allan_deviation_of_white_noise_and_of_a_random_walk():
     random = np.random.default_rng(5)
     rate_hz = 50.0
-    tau, white = nf.allan_deviation(random.normal(size=200_000), rate_hz, [1, 10, 100])
+    tau, white = nf.timeseries.allan_deviation(random.normal(size=200_000), rate_hz, [1, 10, 100])
     np.testing.assert_allclose(tau, [0.02, 0.2, 2.0])
     # White noise of sd s: s/sqrt(m); at m = 100 about 2000 independent averages, 1.6 % each.
     np.testing.assert_allclose(white, 1.0 / np.sqrt([1, 10, 100]), rtol=0.06)
-    tau, walk = nf.allan_deviation(np.cumsum(random.normal(size=200_000)), rate_hz)
+    tau, walk = nf.timeseries.allan_deviation(np.cumsum(random.normal(size=200_000)), rate_hz)
     slope = np.polyfit(np.log(tau[5:30]), np.log(walk[5:30]), 1)[0]
     assert slope == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 def test_sampled_gauss_markov_has_the_continuous_correlation(order):
-    model = nf.gauss_markov_arma(order, 2.0, beta=0.4, rate_hz=2.0)
+    model = nf.timeseries.gauss_markov_arma(order, 2.0, beta=0.4, rate_hz=2.0)
     expected = 4.0 * gauss_markov_correlation(order, 0.4 * np.arange(40) / 2.0)
     # A fourfold pole keeps a quarter of the digits.
     np.testing.assert_allclose(model.autocovariance(39), expected, atol=1e-7)
@@ -135,10 +135,10 @@ def test_sampled_gauss_markov_has_the_continuous_correlation(order):
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("method", ["likelihood", "1/e"])
 def test_gauss_markov_fit_finds_the_time_constant(order, method):
-    truth = nf.gauss_markov_arma(order, 2.0, beta=0.5, rate_hz=10.0)
+    truth = nf.timeseries.gauss_markov_arma(order, 2.0, beta=0.5, rate_hz=10.0)
     y = nf.simulate_arma(truth.ar, truth.ma, truth.sd, 40_000, seed=order)
-    fit = nf.fit_gauss_markov(y, order, 10.0, method)
+    fit = nf.timeseries.fit_gauss_markov(y, order, 10.0, method)
     # 4000 s hold about 1000 correlation times: 5 % by likelihood, about three times that by the 1/e point.
     assert fit.beta == pytest.approx(0.5, rel=0.1 if method == "likelihood" else 0.25)
     assert fit.sd == pytest.approx(2.0, rel=0.1)
-    assert fit.tau_s * fit.beta == pytest.approx(nf.correlation_product(order))
+    assert fit.tau_s * fit.beta == pytest.approx(nf.timeseries.correlation_product(order))

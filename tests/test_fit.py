@@ -51,7 +51,7 @@ def test_loglik_equals_statsmodels_at_the_estimate(order):
     fit = nf.fit_arma(y, *order, trend="none")
     assert fit.loglik == pytest.approx(arma_loglike(y, -fit.ar, fit.ma.copy(), fit.sd**2), abs=1e-3)
     assert fit.aic == pytest.approx(-2.0 * fit.loglik + 2.0 * (sum(order) + 1))
-    assert nf.is_stable(fit.ar) and nf.is_stable(fit.ma)
+    assert nf.timeseries.is_stable(fit.ar) and nf.timeseries.is_stable(fit.ma)
 
 
 @pytest.mark.parametrize("order", [order for order in TRUTH if order != (10, 10)], ids=str)
@@ -192,7 +192,7 @@ def check(fit):
     """What every fit that is handed out must fulfil."""
     numbers = [*fit.ar, *fit.ma, fit.sd, fit.loglik, *fit.covariance.ravel()]
     assert np.all(np.isfinite(numbers))
-    assert nf.is_stable(fit.ar) and nf.is_stable(fit.ma) and fit.sd >= 0.0
+    assert nf.timeseries.is_stable(fit.ar) and nf.timeseries.is_stable(fit.ma) and fit.sd >= 0.0
 
 
 @pytest.mark.parametrize("order", [(1, 0), (1, 1), (2, 2), (3, 1)], ids=str)
@@ -236,7 +236,7 @@ def test_any_series_gives_a_stable_model_or_a_value_error(series, p, q):
     check(fit)
 
 
-@pytest.mark.parametrize("estimate", [nf.yule_walker, nf.burg], ids=["yule_walker", "burg"])
+@pytest.mark.parametrize("estimate", [nf.timeseries.yule_walker, nf.timeseries.burg], ids=["yule_walker", "burg"])
 def test_ar_estimates_find_the_model(estimate):
     y = nf.simulate_arma([-1.2, 0.5], [], 3.0, 20_000, seed=10) + 100.0
     model = estimate(y, 2)
@@ -251,7 +251,7 @@ def test_ar_estimates_find_the_model(estimate):
 
 
 def test_hannan_rissanen_is_a_usable_start_and_stable():
-    model = nf.hannan_rissanen(nf.simulate_arma([-0.8], [0.5], 2.0, 20_000, seed=11), 1, 1)
+    model = nf.timeseries.hannan_rissanen(nf.simulate_arma([-0.8], [0.5], 2.0, 20_000, seed=11), 1, 1)
     np.testing.assert_allclose([model.ar[0], model.ma[0], model.sd], [-0.8, 0.5, 2.0], atol=0.05)
-    walk = nf.hannan_rissanen(np.cumsum(np.random.default_rng(1).normal(size=400)), 3, 3)
+    walk = nf.timeseries.hannan_rissanen(np.cumsum(np.random.default_rng(1).normal(size=400)), 3, 3)
     assert walk.is_stable and walk.is_invertible

@@ -149,7 +149,7 @@ def test_masked_values_are_missing():
     gaps = series.filled(np.nan)
     assert nf.fit_arma(series, 1, 0) == nf.fit_arma(gaps, 1, 0)
     np.testing.assert_array_equal(nf.acf(series, 3), nf.acf(gaps, 3))
-    assert nf.fit_gauss_markov(series, 1, 10.0) == nf.fit_gauss_markov(gaps, 1, 10.0)
+    assert nf.timeseries.fit_gauss_markov(series, 1, 10.0) == nf.timeseries.fit_gauss_markov(gaps, 1, 10.0)
 
 
 def test_strided_and_read_only_arrays_are_streams():
@@ -213,9 +213,9 @@ def wrong_runs():
         "the readings lie on a short arc": lambda: nf.calibrate_magnetometer(np.zeros((100, 3))),
         "declination: latitude_deg must lie between": lambda: nf.declination(145.0, 0.0, 0.0, "2026-05-04"),
         "plus takes nine numbers": lambda: START.state.plus([1, 2, 3]),
-        "FrontEnd: estimator must be a RecursiveArma or an ArmaBank, found None": lambda: nf.FrontEnd(None),
-        "orders must be pairs (p, q)": lambda: nf.ArmaBank(2000, orders=(1, 1)),
-        "add_arma: each of them must be an ArmaModel, found a White": lambda: nf.add_arma([WHITE]),
+        "FrontEnd: estimator must be a RecursiveArma or an ArmaBank, found None": lambda: nf.timeseries.FrontEnd(None),
+        "orders must be pairs (p, q)": lambda: nf.timeseries.ArmaBank(2000, orders=(1, 1)),
+        "add_arma: each of them must be an ArmaModel, found a White": lambda: nf.timeseries.add_arma([WHITE]),
         "n must be a whole number of samples": lambda: nf.simulate_arma([-0.8], [], 1.0, 2.5),
         "p must be a whole number, at least 0, found '1'": lambda: nf.fit_arma(np.zeros(100), "1", 0),
     }
@@ -306,9 +306,9 @@ def test_copies_of_an_estimator_go_on_by_themselves(again):
     """
     series = nf.simulate_arma([-0.8], [0.3], 1.0, 6000, seed=1)
     for make in (
-        lambda: nf.ArmaBank(2000),
+        lambda: nf.timeseries.ArmaBank(2000),
         lambda: nf.RecursiveArma(1, 1, 2000),
-        lambda: nf.FrontEnd(nf.ArmaBank(500)),
+        lambda: nf.timeseries.FrontEnd(nf.timeseries.ArmaBank(500)),
     ):
         one = make()
         one.update_many(series[:2500])

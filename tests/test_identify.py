@@ -207,7 +207,7 @@ def test_unusable_series_are_refused_in_one_line(x, words):
 
 
 def sum_of(*models):
-    return nf.add_arma([nf.ArmaModel(np.array(ar, dtype=float), np.array([]), sd) for ar, sd in models])
+    return nf.timeseries.add_arma([nf.ArmaModel(np.array(ar, dtype=float), np.array([]), sd) for ar, sd in models])
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ def sum_of(*models):
             Arma,
         ),
         (
-            nf.gauss_markov_arma(2, 1.0, 5.0, 100.0),
+            nf.timeseries.gauss_markov_arma(2, 1.0, 5.0, 100.0),
             "second-order Gauss-Markov, tau = 0.43 s; minimal order (2,1)",
             Arma,
         ),
@@ -283,7 +283,7 @@ def test_a_bias_far_below_the_noise_is_named():
 def test_suggested_walk_keeps_its_strength_at_another_rate():
     """A density does not depend on the rate: the walk of every second sample steps sqrt(2) further."""
     model = sum_of(([-1.0], 0.1), ([], 1.0))
-    slow = nf.resample_arma(model, 2)
+    slow = nf.timeseries.resample_arma(model, 2)
     density = []
     for m, rate in ((model, 100.0), (slow, 50.0)):
         error = read_model(nf.ArmaModel(m.ar, m.ma, m.sd, np.zeros((2, 2))), rate, 10_000).error
@@ -371,7 +371,7 @@ def test_model_allan_deviation():
         model_allan_deviation(walk, counts), 2.0 * np.sqrt((2 * counts**2 + 1) / (6 * counts)), rtol=1e-9
     )
     model = nf.ArmaModel(np.array([-1.6, 0.8]), np.array([0.4]), 1.0)
-    _, sample = nf.allan_deviation(nf.simulate_arma(model.ar, model.ma, 1.0, 400_000, 1), 1.0, counts)
+    _, sample = nf.timeseries.allan_deviation(nf.simulate_arma(model.ar, model.ma, 1.0, 400_000, 1), 1.0, counts)
     # 4000 independent averages at the longest: a relative standard deviation of 1.1 %.
     np.testing.assert_allclose(model_allan_deviation(model, counts), sample, rtol=0.05)
 

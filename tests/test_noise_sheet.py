@@ -154,7 +154,7 @@ def test_densities_are_those_of_the_error_models():
 def test_degrees_of_freedom_are_those_of_simulated_records(kind):
     rng, n, counts = np.random.default_rng(1), 2048, np.array([1, 7, 40, 200, 682])
     draw = {"white": rng.standard_normal, "walk": lambda n: np.cumsum(rng.standard_normal(n))}[kind]
-    variance = np.array([nf.allan_deviation(draw(n), 1.0, counts)[1] ** 2 for _ in range(1500)])
+    variance = np.array([nf.timeseries.allan_deviation(draw(n), 1.0, counts)[1] ** 2 for _ in range(1500)])
     # 1500 draws of a chi-square know their own scatter to 4 % and more where it is skew
     simulated = 2.0 * variance.mean(axis=0) ** 2 / variance.var(axis=0)
     density = None if kind == "white" else lambda f: 1.0 / np.sin(np.pi * f) ** 2

@@ -120,8 +120,8 @@ def results():
     mission, tracks = small_run()
     track, series = tracks["smoothed"], nf.simulate_arma([-0.8], [0.3], 1.0, 3000, seed=1)
     one, several = navigators()
-    bank, recursive = nf.ArmaBank(window=2000), nf.RecursiveArma(1, 1, 2000)
-    front = nf.FrontEnd(recursive)
+    bank, recursive = nf.timeseries.ArmaBank(window=2000), nf.RecursiveArma(1, 1, 2000)
+    front = nf.timeseries.FrontEnd(recursive)
     bank.update_many(series)
     front.update_many(series)
     values = [track, mission, track.errors(mission.truth), *mission.streams.values(), *track.residuals.values()]
@@ -157,7 +157,16 @@ def test_a_navigator_says_what_it_is_worth_and_what_is_in_force():
 
 def test_what_is_not_finished_can_be_looked_at():
     """In a debugger, inside of what makes it."""
-    for kind in (nf.Navigator, nf.LaneNavigator, nf.Tape, nf.Track, nf.Mission, nf.Stream, nf.NavState, nf.ArmaBank):
+    for kind in (
+        nf.Navigator,
+        nf.LaneNavigator,
+        nf.Tape,
+        nf.Track,
+        nf.Mission,
+        nf.Stream,
+        nf.NavState,
+        nf.timeseries.ArmaBank,
+    ):
         assert repr(object.__new__(kind)).startswith(f"<{kind.__module__}.{kind.__name__} object at")
 
 

@@ -28,7 +28,7 @@ INSIDE = {"alone": [], "slow": [0.95], "pair inside": [*pair(1.1, 0.9), -0.3]}
 @pytest.mark.parametrize("zeros", ON_CIRCLE)
 def test_multiple_zeros_on_the_circle_are_reproduced(zeros, multiplicity, inside):
     gamma = autocovariance(polynomial([*ON_CIRCLE[zeros] * multiplicity, *INSIDE[inside]], 0.3))
-    ma, sd = nf.spectral_factor(gamma)
+    ma, sd = nf.timeseries.spectral_factor(gamma)
     # The factor's own coefficients lose digits with the multiplicity, what they stand for does not.
     np.testing.assert_allclose(autocovariance(sd * np.r_[1.0, ma]), gamma, atol=1e-9 * gamma[0])
     assert sd == pytest.approx(0.3, rel=1e-3)
@@ -40,14 +40,14 @@ def test_multiple_zeros_on_the_circle_are_reproduced(zeros, multiplicity, inside
 )
 def test_several_multiple_zeros_at_once(zeros):
     gamma = autocovariance(polynomial(zeros))
-    ma, sd = nf.spectral_factor(gamma)
+    ma, sd = nf.timeseries.spectral_factor(gamma)
     np.testing.assert_allclose(autocovariance(sd * np.r_[1.0, ma]), gamma, atol=1e-9 * gamma[0])
 
 
 @pytest.mark.parametrize("multiplicity", [2, 3, 4])
 def test_integer_coefficients_come_back(multiplicity):
     c = polynomial([1.0] * multiplicity)
-    ma, sd = nf.spectral_factor(autocovariance(c))
+    ma, sd = nf.timeseries.spectral_factor(autocovariance(c))
     np.testing.assert_allclose(ma, c[1:], atol=1e-12)
     assert sd == pytest.approx(1.0, rel=1e-12)
 
@@ -60,7 +60,7 @@ def test_where_newton_converges_its_result_is_handed_out():
             polynomial([*rng.uniform(-0.99, 0.99, 2), *pair(rng.uniform(0.0, np.pi), rng.uniform(0.1, 0.99))])
         )
         alone = spectral._newton(gamma / gamma[0])
-        ma, sd = nf.spectral_factor(gamma)
+        ma, sd = nf.timeseries.spectral_factor(gamma)
         np.testing.assert_array_equal(ma, alone[1:] / alone[0])
         assert sd == alone[0] * np.sqrt(gamma[0])
 
@@ -68,4 +68,4 @@ def test_where_newton_converges_its_result_is_handed_out():
 @pytest.mark.parametrize("gamma", [[1.0, -0.5 - 1e-3], [2.0, 0.0, 1.1], [20.0, -15.0, 6.0, -1.001], [1.0, 0.9, 0.5]])
 def test_a_spectrum_below_zero_is_refused(gamma):
     with pytest.raises(ValueError, match="not an autocovariance"):
-        nf.spectral_factor(gamma)
+        nf.timeseries.spectral_factor(gamma)

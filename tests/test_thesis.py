@@ -146,7 +146,7 @@ def test_inertial_tables_are_random_walk_bias_plus_white_noise(name, ratio, digi
     zeros = model_of(name).zeros
     real = zeros[np.abs(zeros.imag) < 1e-9].real
     theta = real[np.argmin(np.abs(real - (1.0 - ratio)))]
-    walk = nf.bias_plus_white(nf.ArmaModel([-1.0], [-theta], 1.0))
+    walk = nf.timeseries.bias_plus_white(nf.ArmaModel([-1.0], [-theta], 1.0))
     assert walk.pole == 1.0
     assert walk.drive_sd == pytest.approx(ratio, abs=digits)
     assert (walk.drive_sd / walk.white_sd) ** 2 == pytest.approx((1.0 - theta) ** 2 / theta, rel=1e-9)
@@ -290,7 +290,7 @@ def test_eq_2_41_and_2_42_order_n_gauss_markov_autocorrelation(order):
 
 
 def test_after_eq_2_42_products_of_beta_and_tau():
-    products = [nf.correlation_product(n) for n in (1, 2, 3, 4)]
+    products = [nf.timeseries.correlation_product(n) for n in (1, 2, 3, 4)]
     np.testing.assert_allclose(products, [1.0, 2.1462, 2.9046, 3.5126], atol=5e-5)
 
 
@@ -337,7 +337,7 @@ def test_eq_4_8_to_4_11_discrete_poles():
     step = 0.05
     printed = np.roots([1.0 + 2.0 * step - step**2, -(2.0 + 2.0 * step), 1.0])
     backward = np.roots([1.0, -2.0 / (1.0 + step), 1.0 / (1.0 + step) ** 2])
-    exact = nf.gauss_markov_arma(2, 1.0, step, 1.0)
+    exact = nf.timeseries.gauss_markov_arma(2, 1.0, step, 1.0)
     assert np.abs(printed).max() == pytest.approx(1.021, abs=5e-4)
     assert np.abs(printed).min() == pytest.approx(0.892, abs=5e-4)
     np.testing.assert_allclose(np.abs(backward), 1.0 / 1.05, atol=1e-6)
@@ -346,7 +346,7 @@ def test_eq_4_8_to_4_11_discrete_poles():
 
 @pytest.mark.parametrize(("step", "c1"), [(1e-5, 2.0 - math.sqrt(3.0)), (0.2, 0.2667), (1.0, 0.239)])
 def test_eq_4_10_sampled_second_order_process_is_arma_2_1(step, c1):
-    assert nf.gauss_markov_arma(2, 1.0, step, 1.0).ma[0] == pytest.approx(c1, abs=5e-4)
+    assert nf.timeseries.gauss_markov_arma(2, 1.0, step, 1.0).ma[0] == pytest.approx(c1, abs=5e-4)
 
 
 def test_second_order_state_space_is_exact():

@@ -76,7 +76,7 @@ def condition(
     from_s, to_s : float, optional
         Part to use, in seconds of the file's clock (from its first sample if it has none).
     decimate : int
-        Keep every so many-th sample. Nothing is averaged, so `navfilter.resample_arma` relates the models exactly.
+        Keep every so many-th sample. Nothing is averaged: `navfilter.timeseries.resample_arma` relates the models.
     seasonal_lag : int
         Fit ``x[t] - x[t - lag]`` (a periodic disturbance of that many samples).
     reject : float

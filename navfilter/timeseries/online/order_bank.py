@@ -68,7 +68,7 @@ class ArmaBank(Shown):
     Examples
     --------
     >>> import navfilter as nf
-    >>> bank = nf.ArmaBank(window=2000)
+    >>> bank = nf.timeseries.ArmaBank(window=2000)
     >>> bank.update_many(nf.simulate_arma([-0.9], [-0.4], 1.0, 4000, seed=3))
     >>> bank.order, bank.model.is_stable, sorted(bank.model.flags)
     ((1, 1), True, [])
