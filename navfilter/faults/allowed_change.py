@@ -30,7 +30,8 @@ def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
 
 
 def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
-    """Variance by which dead reckoning may err in a time, in the units of a sensor; `kernels.scatter` has it, too."""
+    """Variance by which dead reckoning may err in a time, in the units of a sensor; `kernels.noise_scale` has it,
+    too."""
     if sensor.observes.north is not None:
         return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
     if sensor.observes is Observable.VELOCITY_BODY:

@@ -32,8 +32,8 @@ class ChannelMemory:
     Attributes
     ----------
     last : ndarray
-        Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9); then when it was read, when its
-        clock ticked last, and when a reading was used [s]; then see ``batch.NORTH_WHITE``, ``LET_GO``.
+        Jacobian, verdict and residual of the last reading (``kalman.memory_offsets`` 7 to 9); then when it was read,
+        when its clock ticked last, and when a reading was used [s]; then see ``batch.NORTH_WHITE``, ``LET_GO``.
     """
 
     last: Array = field(default_factory=lambda: np.array([-math.inf, -math.inf, -math.inf, 0.0, 0.0]))

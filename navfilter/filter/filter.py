@@ -208,7 +208,8 @@ class Filter:
                 self._propagate(part, stamps, tell, room)
 
     def propagate_to(self, name: str, time_s: float, tell: Listening) -> None:
-        """Carry the state to a reading that comes ahead of the drive, where that is silent; `tell` as in `advance`."""
+        """Carry the state to a reading that comes ahead of the drive, where that is silent; `tell` as in
+        `propagate`."""
         until_s = time_s - self.channels[name].lead_s
         if until_s - self.memory.sample_s > self.ahead_s:
             missing = self.intake.missing(until_s, self.memory.time_s)
@@ -299,7 +300,7 @@ class Filter:
             Of a sensor of the vehicle. Its time is when it is taken (stamp plus `Sensor.lead_s`), at most a period of
             the drive before the present.
         tell : callable
-            As in `advance`.
+            As in `propagate`.
         """
         name, time_s, value, sd, frozen, same = measured
         channel, memory = self.channels[name], self.memory
@@ -582,7 +583,7 @@ def shared(
         As they have been laid out.
     drive : Mechanisation
     folds : ndarray of int, shape (7,)
-        Dimensions of a fold between readings, see ``kalman.places``.
+        Dimensions of a fold between readings, see ``kalman.memory_offsets``.
 
     Returns
     -------

@@ -277,7 +277,7 @@ class Tape(Shown):
             out[98 + x.size :] = P.diagonal()[9:]
 
     def output(self, longest: int, info: Array) -> tuple[Array, Array, int]:
-        """Where the kernel `stretch` writes rows, and records of which one of the `longest` finds room at least; and
+        """Where the kernel `run_batch` writes rows, and records of which one of the `longest` finds room at least; and
         how many of the rows stand there: the last one, if it may be written again. Of that `info` says when it holds.
         """
         size, records = self._row_size(self.layouts[-1].size), np.empty(0)
@@ -295,7 +295,7 @@ class Tape(Shown):
         return 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
 
     def extend(self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int) -> None:
-        """As many calls of `record` and `row`, in this order of time, by what `stretch` has written.
+        """As many calls of `record` and `row`, in this order of time, by what `run_batch` has written.
 
         Parameters
         ----------

@@ -31,15 +31,15 @@ SAME_S = 1e-7
 UNSURE_HEADING = 0.01
 
 # Columns of `plan`, a row a channel: the eight of `kalman.update`; addresses of its kernel (0: it is asked by Python),
-# of `delayed_state.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation
-# bends by (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand:
-# working memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the
-# verdict, and how long the record for the smoother is; whether a reading of which components are left out is Python's
-# to judge; from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none);
-# whether these parameters may be hidden by the state's error; whether nobody wants to know its transitions; where the
-# table of its fault states stands (0: none), see `fault_states`. One more row is for the drive: dimensions of a fold,
-# addresses of its steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest
-# record of all.
+# of `delayed_state.delayed_reading` where its place or clock is a state, of the drive's motion for that, and of what
+# its equation bends by (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its
+# parts stand: working memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working
+# memory the verdict, and how long the record for the smoother is; whether a reading of which components are left out is
+# Python's to judge; from which of its parameters to which the slopes are held; which of its axes is the heading (-1:
+# none); whether these parameters may be hidden by the state's error; whether nobody wants to know its transitions;
+# where the table of its fault states stands (0: none), see `fault_states`. One more row is for the drive: dimensions of
+# a fold, addresses of its steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the
+# longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
@@ -54,8 +54,8 @@ READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED, SPARE, NEWEST,
 MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
-# on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
-# feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
+# on it is learnt from readings, and what a tilt turns into acceleration (see `record_residual`); after how many samples
+# Python feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
 LOOK_S = 11
 # Columns of `heard`, a row a channel: period, until when readings are the kernel's though some have been refused, ticks
@@ -77,7 +77,8 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 
 # Elements of `facts`, of a channel whose readings come live: its place in `plan` and among the inputs that are kept;
 # its period; up to which value readings are taken as they are; without a fix for how long its vehicle has dived; what a
-# tilt turns into acceleration, and from when on it is learnt from readings (see `listen`); ticks of the last reading.
+# tilt turns into acceleration, and from when on it is learnt from readings (see `record_residual`); ticks of the last
+# reading.
 CHANNEL, KEPT_AS, TICK_S, LARGEST, DIVE_S, TILTED, LEARNT_S, TICKED, FACTS_SIZE = range(9)
 # So many arrays are handed to `correct_reading`, and to `propagate_sample`, by where they stand; which of these is what
 # is kept.
@@ -210,10 +211,11 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
 
     bench: working memory of all channels; spot: this one's row of `plan`; recent: the drive's last samples, see
-    `delayed_state.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for
-    what the error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken. Behind the
-    limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used. For how
-    many ticks it may have been beyond one sd stands behind the verdict: from the last used reading within it.
+    `delayed_state.delayed_reading`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or
+    NaN for what the error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken.
+    Behind the limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is
+    used. For how many ticks it may have been beyond one sd stands behind the verdict: from the last used reading within
+    it.
     """
     dims = spot[:8]
     a, n, m, b, start, errors, parameters = dims[0], dims[1], dims[2], dims[3], dims[4], dims[5], dims[6]
@@ -411,7 +413,7 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
 
     stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, its
     last samples (`MORE_RECENT` rows more than are needed), then what the watch remembers, and its standard
-    deviations and limits; undone: see `listen`, empty where nobody listens; out: rows, their info, records and
+    deviations and limits; undone: see `record_residual`, empty where nobody listens; out: rows, their info, records and
     their heads; work: a transition (m * m,), then for `kalman.fold` and `kalman.present`.
     """
     m, n = acc.shape[1], P.shape[0]
@@ -612,11 +614,11 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     Behind that its NIS and components, and the mean NIS of the ear.
 
     hand (HAND, 3): where arrays stand, their rows and columns, in the order in which they are taken here. facts:
-    see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `listen`; places: `kalman.places`;
-    figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept, see
-    `navfilter.learning.input_buffer`, and how many samples, readings (-1: none are kept here) and values these are.
-    z: what arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is
-    older. The others are those of `correction`.
+    see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `record_residual`; places:
+    `kalman.memory_offsets`; figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept,
+    see `navfilter.learning.input_buffer`, and how many samples, readings (-1: none are kept here) and values these are.
+    z: what arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is older.
+    The others are those of `correction`.
     """
     bench = flat(standing(hand, 0, np.float64))
     nav = flat(standing(hand, 1, np.float64))
@@ -722,7 +724,8 @@ def _record_residual(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone,
 @apart
 @njit(cache=True, **UNCOUNTED)
 def _described_nis(bench, own, P, nav, Cr, t, kept, facts, w):
-    """NIS by its description of a reading that was used, of a sensor that scatters by more, see `scatter.heard`.
+    """NIS by its description of a reading that was used, of a sensor that scatters by more, see
+    `noise_scale.update_scale`.
 
     own: row of `plan`; w: what the watch over the drive remembers: nothing is learnt while an axis is left out.
     """
@@ -802,11 +805,11 @@ def run_batch(
     now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, `scattered`
     (what is remembered and known of each channel, see `scatter`; no rows where none is watched) and `state` (nav,
     x, P, acc) are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
-    limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
-    their `kalman.places`, and (r, 1 + rows) for ticks and what `listen` notes of each reading. looking: what
-    `check_gyro_biases` takes last. given, of readings: when taken (r,), channel, samples before it, whether Python has
-    found nothing wrong with it, whether its value is that of the one before; values (r, w), and own variances
-    (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_propagated`.
+    limits: of their values. hearing: `undone` (see `record_residual`; empty where nobody listens), ears of the
+    channels, their `kalman.memory_offsets`, and (r, 1 + rows) for ticks and what `record_residual` notes of each
+    reading. looking: what `check_gyro_biases` takes last. given, of readings: when taken (r,), channel, samples before
+    it, whether Python has found nothing wrong with it, whether its value is that of the one before; values (r, w), and
+    own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_propagated`.
     """
     nav, x, P, acc = state
     drv, Phid, Qd, Cr, samples_before = drive[0], drive[1], drive[2], drive[3], drive[4]

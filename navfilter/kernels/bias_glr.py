@@ -27,7 +27,8 @@ def propagate_jumps(bank, Phi):
 
 @njit(cache=True, error_model="numpy")
 def update_jumps(bank, mem, dims, places, offset, says):
-    """Take a reading, as the filter left it in its channel's memory (see ``kalman.places``); returns the largest
+    """Take a reading, as the filter left it in its channel's memory (see ``kalman.memory_offsets``); returns the
+    largest
     likelihood ratio of the drive's axes.
 
     offset: row of the hypothesis that the sensor's first axis has jumped. says: whether the reading says anything; one

@@ -34,12 +34,12 @@ FOLLOWED = 0.02
 CUBE = 15.0 / 4.0
 #: That of a place by its clock: fixes of centimetres had a NEES of 2.4 by this, of 4.6 by 0.02, of 2.3 by 0 [1].
 STEADY = 0.002
-#: : Rates and forces are means over this time: what vibrates faster is no motion [s].
+#: Rates and forces are means over this time: what vibrates faster is no motion [s].
 WINDOW_S = 0.2
-#: : A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
+#: A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
 #: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms, and a scale by 1 / k^2 at most [1].
 TOLD = 10.0
-#: : A lever arm is told from so many on, see `consistency.consider_lever_arm`: by 10 of them, an arm of 0.5 m was drawn
+#: A lever arm is told from so many on, see `consistency.consider_lever_arm`: by 10 of them, an arm of 0.5 m was drawn
 #: by 1.2 of its standard deviations in half an hour beside a micromechanical unit, by 15 it is 0.7, by 20 nothing of a
 #: swell is left [1].
 TOLD_ARM = 15.0

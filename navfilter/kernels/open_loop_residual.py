@@ -167,13 +167,13 @@ def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cur
     """After a reading: carry `undone` to it, note its open-loop residual in `ring` (kind != 0), then add what it fed
     back.
 
-    mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output
-    rows and means. mount: see `STILL`, then body to instrument, row by row. ring: (a + 1, capacity), the last row for
-    the force that came by pitch and roll [m/s^2]; where constants are noted, as many rows of their estimates follow,
-    and of the slopes of each axis by them. cursor: (1,) ticks written so far; `ticks` of the sensor's clock have passed
-    since the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output
-    rows, forces last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no
-    integral.
+    mem, dims, places: the channel's memory as the correction left it (see ``kalman.memory_offsets``). C (a, errors), x:
+    output rows and means. mount: see `STILL`, then body to instrument, row by row. ring: (a + 1, capacity), the last
+    row for the force that came by pitch and roll [m/s^2]; where constants are noted, as many rows of their estimates
+    follow, and of the slopes of each axis by them. cursor: (1,) ticks written so far; `ticks` of the sensor's clock
+    have passed since the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the
+    drive's output rows, forces last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose
+    velocity is no integral.
 
     A velocity that stands still is noted as missing. A reading that waits tells the state of `LEAD_S` and of its
     clock's offset earlier, and so does what is put in again.
