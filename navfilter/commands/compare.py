@@ -50,6 +50,7 @@ the models, by name, for the sensors that correct:
   gm1-fitted   first-order Gauss-Markov                     fitted to the whole mission by likelihood: the fair baseline
   arma         learnt on the way, order and coefficients    begins with the model of vehicle.toml, sees only the past
   vehicle      as vehicle.toml says
+  iae, sage-husa, vb, imm                                   white noise that the run adapts, as the literature does
   oracle       the true models, from --oracle               only where the mission is simulated
 
 A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate'
@@ -194,22 +195,27 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     dict of str to Track
         By name of the model.
     """
-    from navfilter.evaluation.baselines import rivals
+    from navfilter.evaluation.baselines import fitted_kinds, replay_rival, rivals
     from navfilter.models.alignment import align
-    from navfilter.playback.replay import replay
 
     say, bars = speaker(quiet), not quiet and sys.stderr.isatty()
     compile_first(quiet)
     # One start for all: an alignment uses the error models, and the rivals are to differ in nothing else.
     start = mission.start if mission.start is not None else align(vehicle, mission)
-    if set(plan.models) - {"arma", "oracle", "vehicle"}:
+    if fitted_kinds(plan.models):
         say(f"fitting models to {mission.name} ({mission.duration_s / 60:.1f} min) ...")
     vehicles = rivals(tuple(plan.models), vehicle, mission, sensors=plan.sensors, truth=plan.truth, start=start)
     tracks = {}
     for number, (name, other) in enumerate(vehicles.items(), 1):
         say(f"replaying with {name} ({number} of {len(vehicles)}) ...")
-        tracks[name] = replay(
-            other, mission, start=start, smooth=name in plan.smooth, output_rate_hz=plan.output_rate_hz, progress=bars
+        tracks[name] = replay_rival(
+            name,
+            other,
+            mission,
+            start=start,
+            smooth=name in plan.smooth,
+            output_rate_hz=plan.output_rate_hz,
+            progress=bars,
         )
     return tracks
 

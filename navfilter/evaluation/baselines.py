@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.evaluation.adaptive import RULES, adaptive_monitor, as_white
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.models.learned_arma import LearnedArma, known_white, learned_part
@@ -19,17 +21,18 @@ from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.models.window_limits import LEAST
-from navfilter.playback.replay import residual_series
+from navfilter.playback.replay import replay, replay_monitored, residual_series
 from navfilter.timeseries.gauss_markov import fit_gauss_markov
+from navfilter.track.track import Track
 
-__all__ = ["LEAST", "MODELS", "fitted_kinds", "learnable", "rival", "rivals"]
+__all__ = ["LEAST", "MODELS", "fitted_kinds", "learnable", "replay_rival", "rival", "rivals"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 Series = Mapping[str, tuple[ChannelSeries, ...]]
 
 #: Kinds of error models that can be compared.
-MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle")
+MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle", *RULES)
 
 
 def rival(
@@ -45,11 +48,13 @@ def rival(
 
     Parameters
     ----------
-    name : {"white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle"}
+    name : str
+        One of `MODELS`.
         white: white noise, its sd by the likelihood of the channel (the slow navigation error estimated beside it).
         gm1: first-order Gauss-Markov through the 1/e point of the autocorrelation of the detrended series (thesis, sec.
         2.3). gm1-fitted: first-order Gauss-Markov by that likelihood. arma: `LearnedArma`, which learns under way and
-        begins with the model of the vehicle file. oracle: `truth`. vehicle: as the file says.
+        begins with the model of the vehicle file. oracle: `truth`. vehicle: as the file says. iae, sage-husa, vb, imm:
+        white noise of the variance that the file describes; `replay_rival` adapts it (`navfilter.evaluation.adaptive`).
     vehicle : Vehicle
         As its operator describes it.
     mission : Mission
@@ -70,6 +75,23 @@ def rival(
         For an unknown name or sensor, and for "oracle" without a truth.
     """
     return rivals((name,), vehicle, mission, sensors=sensors, truth=truth, start=start)[name]
+
+
+def replay_rival(name: str, vehicle: Vehicle, mission: Mission, **how: Any) -> Track:
+    """Replay a rival, see `rival`; those that adapt their noise do so.
+
+    Parameters
+    ----------
+    name : str
+    vehicle : Vehicle
+        As `rival` gave it.
+    mission : Mission
+    **how
+        Of `navfilter.replay`.
+    """
+    if name not in RULES:
+        return replay(vehicle, mission, **how)
+    return replay_monitored(vehicle, mission, adaptive_monitor(vehicle, RULES[name]), **how)
 
 
 def rivals(
@@ -138,6 +160,8 @@ def _models(
         priors = vehicle.sensors[name].models
         if kind == "arma":
             models = tuple(_learning(prior) for prior in priors)
+        elif kind in RULES:
+            models = tuple(as_white(prior, 1.0 / vehicle.sensors[name].rate_hz) for prior in priors)
         else:
             models = tuple(_fitted(kind, channel, prior) for channel, prior in zip(series[name], priors, strict=True))
         found[name] = models[0] if len(models) == 1 else models

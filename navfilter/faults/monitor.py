@@ -61,6 +61,9 @@ class FaultMonitor:
         self.is_tilted = False
         self._gyros: tuple[Group | None, Array] = (None, np.zeros((3, 0)))
 
+    #: Whether a kernel may take readings in batches without asking for each.
+    in_batches = True
+
     def initial_memory(self, filter: FilterState, memory: FilterMemory) -> MonitorMemory:
         """Its memory before the first input."""
         imu = self.imu_monitor.initial_memory()

@@ -96,11 +96,14 @@ class Monitor(Protocol):
         Limits of samples by axis, as kernels take them.
     cross_checks : bool
         It looks for jumps of the unit's biases, reading by reading.
+    in_batches : bool
+        Whether a kernel may take readings in batches without asking for each.
     """
 
     counted: tuple[str, ...]
     sample_limits: Array
     cross_checks: bool
+    in_batches: bool
 
     def initial_memory(self, filter: FilterState, memory: FilterMemory) -> Any:
         """Its memory before the first input; that of the filter has none yet."""

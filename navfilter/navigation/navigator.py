@@ -64,6 +64,9 @@ class Navigator(NavigatorStatus):
     ValueError
         For something that is no vehicle, or a history beside a tape.
 
+    monitor : FaultMonitor, optional
+        Judges readings and samples in place of the usual one; made for this run.
+
     Notes
     -----
     `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at
@@ -92,6 +95,7 @@ class Navigator(NavigatorStatus):
         history_s: float | None = None,
         *,
         threads: bool = True,
+        monitor: FaultMonitor | None = None,
     ) -> None:
         needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
         needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
@@ -99,7 +103,7 @@ class Navigator(NavigatorStatus):
         if vehicle.lanes():
             raise ValueError("this vehicle has lanes: use LaneNavigator, or one of vehicle.lanes().")
         self.vehicle, self.start = vehicle, start
-        self.filter = Filter(vehicle, start, FaultMonitor(vehicle), tape)
+        self.filter = Filter(vehicle, start, FaultMonitor(vehicle) if monitor is None else monitor, tape)
         usual_s = max([self.HISTORY_S, *(sensor.late_s for sensor in vehicle.sensors.values())])
         length_s = (usual_s if tape is None else 0.0) if history_s is None else float(history_s)
         if not (math.isfinite(length_s) and length_s >= 0.0):

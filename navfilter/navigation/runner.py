@@ -82,7 +82,8 @@ class BatchRunner:
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
         self._same = self._repeated()
-        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.monitor.cross_checks
+        monitor = nav.filter.monitor
+        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not monitor.cross_checks and monitor.in_batches
         # beams have more directions than an ear of the kernel holds
         heard = all(
             listener.series_kernel.size == open_loop_residual.EAR for listener in nav.learning.listeners.values()

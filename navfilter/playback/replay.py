@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.faults.monitor import FaultMonitor
 from navfilter.filter.records import Tape
 from navfilter.foundation.arguments import needs
 from navfilter.learning.batch import change, learning_sensors, refitted
@@ -92,6 +93,34 @@ def replay(
     return _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), progress, ())[0]
 
 
+def replay_monitored(
+    vehicle: Vehicle,
+    mission: Mission,
+    monitor: FaultMonitor,
+    *,
+    start: Start | None = None,
+    smooth: bool = False,
+    output_rate_hz: float | None = 5.0,
+    progress: bool = False,
+) -> Track:
+    """A replay with another monitor than the usual one, such as `navfilter.evaluation.adaptive.adaptive_monitor`.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Without lanes.
+    mission : Mission
+    monitor : FaultMonitor
+        Made for this run.
+    start, smooth, output_rate_hz, progress
+        As in `replay`.
+    """
+    if vehicle.lanes():
+        raise ValueError("replay_monitored: this vehicle has lanes: give one of vehicle.lanes().")
+    tape = Tape(output_rate_hz, smoothable=smooth)
+    return _replayed(vehicle, mission, _start(vehicle, mission, start), tape, progress, (), monitor)[0]
+
+
 def replay_heard(
     vehicle: Vehicle,
     mission: Mission,
@@ -134,14 +163,20 @@ def replay_heard(
 
 
 def _replayed(
-    vehicle: Vehicle, mission: Mission, start: Start, tape: Tape, progress: bool, heard: Sequence[str]
+    vehicle: Vehicle,
+    mission: Mission,
+    start: Start,
+    tape: Tape,
+    progress: bool,
+    heard: Sequence[str],
+    monitor: FaultMonitor | None = None,
 ) -> tuple[Track, Navigator]:
     drive = drive_samples(vehicle, mission)
     began = time.process_time()
     readings = readings_of(vehicle, mission, start.time_s)
     span_s = max(drive[0][-1], readings.time_s.max(initial=start.time_s)) - start.time_s
     tape.expect(2 + int(min(len(drive[0]) + len(readings.time_s), span_s / (tape.interval_s or 1e-300))))
-    nav = Navigator(vehicle, start, tape)
+    nav = Navigator(vehicle, start, tape, monitor=monitor)
     _listen(nav, mission, heard)
     _run(nav, *drive, readings, progress)
     del readings  # of a day 45 MB, beside what the smoother needs

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.evaluation.baselines import fitted_kinds, rivals
+from navfilter.evaluation.baselines import fitted_kinds, replay_rival, rivals
 from navfilter.evaluation.montecarlo.scores import TRACKS, curve_times, run_record
 from navfilter.evaluation.montecarlo.slots import Slots, slots
 from navfilter.evaluation.montecarlo.store import Record, Store
@@ -174,7 +174,7 @@ def _tracks(campaign: Campaign, staged: Staged, mission: Mission, models: Sequen
         yield "vehicle", track
         others.remove("vehicle")
     vehicles = rivals(others, staged.vehicle, mission, sensors=(staged.learnt,), series=series)
-    yield from ((model, replay(vehicle, mission, **how)) for model, vehicle in vehicles.items())
+    yield from ((model, replay_rival(model, vehicle, mission, **how)) for model, vehicle in vehicles.items())
 
 
 @dataclass(frozen=True)
