@@ -212,6 +212,7 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
             name,
             other,
             mission,
+            plan.sensors,
             start=start,
             smooth=name in plan.smooth,
             output_rate_hz=plan.output_rate_hz,

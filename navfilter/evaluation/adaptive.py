@@ -8,7 +8,7 @@ the two methods of `Rule`, and goes to `adaptive_monitor`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, Protocol
 
 import numpy as np
@@ -175,7 +175,9 @@ RULES: dict[str, Callable[[Array], Rule]] = {
 }
 
 
-def adaptive_monitor(vehicle: Vehicle, rule: Callable[[Array], Rule]) -> FaultMonitor:
+def adaptive_monitor(
+    vehicle: Vehicle, rule: Callable[[Array], Rule], sensors: Collection[str] | None = None
+) -> FaultMonitor:
     """The monitor of a run whose sensors weigh their readings by a rule.
 
     Parameters
@@ -184,19 +186,23 @@ def adaptive_monitor(vehicle: Vehicle, rule: Callable[[Array], Rule]) -> FaultMo
         With white errors, see `as_white`.
     rule : callable
         Makes the rule of a sensor from the white variances of its axes as described, shape (axes,).
+    sensors : collection of str, optional
+        Which ones adapt; default all.
     """
-    return _AdaptiveMonitor(vehicle, rule)
+    return _AdaptiveMonitor(vehicle, rule, tuple(vehicle.sensors if sensors is None else sensors))
 
 
 class _AdaptiveMonitor(FaultMonitor):
     in_batches = False
 
-    def __init__(self, vehicle: Vehicle, rule: Callable[[Array], Rule]) -> None:
+    def __init__(self, vehicle: Vehicle, rule: Callable[[Array], Rule], sensors: Collection[str]) -> None:
         super().__init__(vehicle)
-        self._rule, self._rules = rule, dict[str, Rule]()
+        self._rule, self._sensors, self._rules = rule, sensors, dict[str, Rule]()
 
     def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
-        limits, _ = super().gate(channel, z, sd, time_s)
+        limits, own = super().gate(channel, z, sd, time_s)
+        if channel.name not in self._sensors:
+            return limits, own
         if channel.name not in self._rules:
             self._rules[channel.name] = self._rule(np.array(channel.group.r))
         return limits, self._rules[channel.name].variance()
@@ -205,7 +211,7 @@ class _AdaptiveMonitor(FaultMonitor):
         a, R = channel.axes, channel.R.diagonal().copy()
         used, innovation, S = channel.verdict[2], channel.note[3 : 3 + a].copy(), channel.note[3 + a :][:a].copy()
         result: Any = yield from super().after_gate(filter, channel, time_s, frozen)
-        if used:
+        if used and channel.name in self._rules:
             self._rules[channel.name].update(np.where(np.isfinite(S), innovation, np.nan), S - R)
         return result
 

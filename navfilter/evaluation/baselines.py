@@ -77,7 +77,9 @@ def rival(
     return rivals((name,), vehicle, mission, sensors=sensors, truth=truth, start=start)[name]
 
 
-def replay_rival(name: str, vehicle: Vehicle, mission: Mission, **how: Any) -> Track:
+def replay_rival(
+    name: str, vehicle: Vehicle, mission: Mission, sensors: Sequence[str] | None = None, **how: Any
+) -> Track:
     """Replay a rival, see `rival`; those that adapt their noise do so.
 
     Parameters
@@ -86,12 +88,14 @@ def replay_rival(name: str, vehicle: Vehicle, mission: Mission, **how: Any) -> T
     vehicle : Vehicle
         As `rival` gave it.
     mission : Mission
+    sensors : sequence of str, optional
+        Which ones adapt; default all.
     **how
         Of `navfilter.replay`.
     """
     if name not in RULES:
         return replay(vehicle, mission, **how)
-    return replay_monitored(vehicle, mission, adaptive_monitor(vehicle, RULES[name]), **how)
+    return replay_monitored(vehicle, mission, adaptive_monitor(vehicle, RULES[name], sensors), **how)
 
 
 def rivals(

@@ -174,7 +174,9 @@ def _tracks(campaign: Campaign, staged: Staged, mission: Mission, models: Sequen
         yield "vehicle", track
         others.remove("vehicle")
     vehicles = rivals(others, staged.vehicle, mission, sensors=(staged.learnt,), series=series)
-    yield from ((model, replay_rival(model, vehicle, mission, **how)) for model, vehicle in vehicles.items())
+    yield from (
+        (model, replay_rival(model, vehicle, mission, (staged.learnt,), **how)) for model, vehicle in vehicles.items()
+    )
 
 
 @dataclass(frozen=True)
