@@ -39,7 +39,7 @@ SCRIPTS = {
     "identify_recordings": ("statsmodels", ()),
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),
-    "mistakes": ("No other software", ()),
+    "mistakes": ("No other software", ("mistakes", "files")),
     "noise_wrong": ("no other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),
     "over_water": ("plain dead reckoning", ()),

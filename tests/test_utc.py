@@ -39,7 +39,6 @@ def mission(folder, head="", clock='{column = "t"}', stamps=(UNIX, UNIX + 1.5)):
         ("date = 2023-11-14", '{column = "t"}', (UNIX, UNIX + 1), 0.0),
         ("", '{column = "t"}', (0.0, 1.0), None),
         ('zero_s = "first"', '{column = "t"}', (86000.0, 86001.0), None),
-        ("", '{column = "t"}', (1e3 * UNIX, 1e3 * UNIX + 1), None),
         ('epoch = "unknown"', '{column = "t"}', (UNIX, UNIX + 1), None),
         ("epoch = 2023-11-14T22:13:20Z", '{column = "t"}', (0.0, 1.0), UNIX),
         ("epoch = 2023-11-14T23:13:20.25+01:00", '{column = "t"}', (0.0, 1.0), UNIX + 0.25),
