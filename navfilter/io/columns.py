@@ -244,7 +244,8 @@ def clock_times(
     MissionError
         Where there are not as many times as rows, or dates cannot be told.
     """
-    times = _clock_times(clock, table, other, rows, date)
+    with np.errstate(over="ignore"):  # a file may have any numbers for times
+        times = _clock_times(clock, table, other, rows, date)
     return times._replace(time_s=np.where(np.abs(times.time_s) < LATEST_S, times.time_s, np.nan))
 
 

@@ -62,8 +62,7 @@ def full_after(raw: Array) -> float | None:
     not.
     """
     known = raw[np.isfinite(raw)]
-    with np.errstate(over="ignore"):  # stamps may be any numbers
-        step = np.diff(known)
+    step = np.diff(known)
     back = np.flatnonzero(step < 0.0)
     if not back.size or not (step > 0.0).any():
         return None
