@@ -273,7 +273,7 @@ def fly(vehicle: nf.Vehicle, mission: Mission, events: Events) -> Run:
 
 def told_s(vehicle: nf.Vehicle, events: Events) -> Callable[[Array], Array]:
     """For how long fixes have been there, at times (n,) [s]; negative where they are not."""
-    names = {n for n, s in vehicle.sensors.items() if s.corrects == "position" and s.axes > 1}
+    names = {n for n, s in vehicle.sensors.items() if s.observes.corrects == "position" and s.axes > 1}
     times = np.array([-math.inf, *(e.true_s for e in events if e.sensor in names), math.inf])
     periods = [1.0 / vehicle.sensors[n].rate_hz for n in names]
     gaps = np.diff(times) > max(THERE_S, 3.0 * min(periods, default=THERE_S))

@@ -37,7 +37,7 @@ def runs() -> list[tuple[nf.Vehicle, bytes, list[Any]]]:
         if compass is not None:
             vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=vehicle.sensors[compass].error, window=400))
         events = events_of(vehicle, mission)
-        fixes = [name for name, sensor in vehicle.sensors.items() if sensor.corrects == "position"]
+        fixes = [name for name, sensor in vehicle.sensors.items() if sensor.observes.corrects == "position"]
         # fixes that agree with each other against the state: the memory of refused readings is not empty
         events = [
             e._replace(value=(e.value[0] + 3e-5, *e.value[1:])) if e.sensor in fixes and e.time_s > WRONG_FROM_S else e

@@ -54,7 +54,7 @@ SLOWEST = 20
 #: What may take long in a call.
 WATCHED = {
     "checkpoint": (History, "_mark"),
-    "rewinding": (History, "late"),
+    "rewinding": (History, "correct_late"),
     "adoption": (Filter, "adopt"),
     "look begun": (OpenLoopSeries, "begin_hop"),
     "answer taken": (OpenLoopSeries, "learnt"),
