@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import far_finding, late_path_by
+from navfilter.check.clock_offsets import far_finding, late_path_by, noisy_stretch_finding, path_clock
 from navfilter.check.course_fit import (
     MOST_DELAY_S,
     CourseFit,
@@ -37,9 +37,14 @@ LOOSE = 0.25
 
 
 def course_findings(
-    name: str, stream: Stream, mission: Mission, vehicle: Vehicle | None, gyro_agrees: bool = False
+    name: str,
+    stream: Stream,
+    mission: Mission,
+    vehicle: Vehicle | None,
+    gyro_agrees: bool = False,
+    stretched: bool = False,
 ) -> Iterator[Finding]:
-    """Findings about a velocity stream whose axes, sign, scale or clock do not fit the positions."""
+    """Findings about a velocity stream whose axes, sign, scale or clock (unless known) do not fit the positions."""
     mounting, lever = mounting_of(name, vehicle)
     v = vector(stream, "v_x_m_s") @ mounting.T
     speed = np.hypot(v[:, 0], v[:, 1])
@@ -85,8 +90,11 @@ def course_findings(
             cure = "The filter needs the velocity in the axes of the instrument or the vehicle: have it recorded so"
             yield Finding("error", name, text, f"{cure} (of a DVL: instrument or ship coordinates, not earth).")
             return
-        if fit is not None:
+        if paths is not None and fit is not None:
             compared = True
+            if not stretched:
+                what = f"the velocity is {{}} against the positions of {places.name}"
+                yield from noisy_stretch_finding(name, what, path_clock(paths), paths.time_s)
             streams = _Streams(name, other, places.name, field, gyro_agrees, None if magnetic or field else north)
             yield from _course_findings(streams, fit)
     if not compared:

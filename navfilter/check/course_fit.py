@@ -90,9 +90,10 @@ class Paths:
         )
         return ahead - here
 
-    def way(self, body: Complex, late_s: float = 0.0, heading_sign: int = 1) -> Complex:
-        """Displacement by dead reckoning within each window."""
-        at = self.time_s - late_s
+    def way(self, body: Complex, late_s: float = 0.0, heading_sign: int = 1, rate: float = 0.0) -> Complex:
+        """Displacement by dead reckoning within each window, of a velocity so late in the middle, so much too fast."""
+        middle = 0.5 * float(self.edges[0] + self.edges[-1])
+        at = self.time_s - late_s - rate * (self.time_s - middle)
         turned = body * np.exp(1j * heading_sign * np.interp(at, *self.heading))
         return self.moved(at, integral(at, turned.view(float).reshape(-1, 2)) @ np.array([1.0, 1j]))
 
