@@ -19,6 +19,7 @@ from navfilter.check.course_fit import (
 )
 from navfilter.check.finding import Finding
 from navfilter.check.series import heading_of, unwrapped, vector
+from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import Array, Mission, Stream
 from navfilter.models.state import matrix_from_euler
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
+#: Beyond so many a direction is wrong, where it is beyond what vehicle.toml says as well.
+WRONG = 5.0
 #: What a finding is about that vehicles of this kind may well do.
 HABIT = "habit"
 #: Angles apart by less are the same for these data [deg].
@@ -95,7 +98,10 @@ def course_findings(
             if not stretched:
                 what = f"the velocity is {{}} against the positions of {places.name}"
                 yield from noisy_stretch_finding(name, what, path_clock(paths), paths.time_s)
-            streams = _Streams(name, other, places.name, field, gyro_agrees, None if magnetic or field else north)
+            stated = _stated_deg(vehicle, name, other, fit.speed_m_s)
+            streams = _Streams(
+                name, other, places.name, field, gyro_agrees, None if magnetic or field else north, stated
+            )
             yield from _course_findings(streams, fit)
     if not compared:
         yield from _main_direction(name, v, speed)
@@ -112,6 +118,28 @@ def _declination(mission: Mission) -> float | None:
     if not abs(latitude) <= 90.0:
         return None
     return math.degrees(declination(latitude, longitude, 0.0, believable(mission.date)))
+
+
+def part_of(vehicle: Vehicle, stream: str) -> Any:
+    """The sensor, or the part of what drives, behind a stream."""
+    drive = {"velocity": vehicle.drive.velocity_sensor, "attitude": vehicle.drive.compass}
+    return vehicle.sensors.get(stream) or drive.get(stream)
+
+
+def stated_direction(part: Any, speed_m_s: float) -> float:
+    """How well a heading or a horizontal velocity is believed to know a direction at a speed (sd) [rad]."""
+    if part is None:
+        return math.inf
+    models = part.models[-1:] if part.units[-1] == "rad" else part.models[:2]
+    sd = math.sqrt(max(map(stated_variance, models)))
+    return sd if part.units[-1] == "rad" else sd / max(speed_m_s, 1e-9)
+
+
+def _stated_deg(vehicle: Vehicle | None, velocity: str, heading: str, speed_m_s: float) -> float:
+    """What a vehicle says of both together [deg]; nothing without one."""
+    if vehicle is None:
+        return math.inf
+    return math.degrees(math.hypot(*(stated_direction(part_of(vehicle, n), speed_m_s) for n in (velocity, heading))))
 
 
 def mounting_of(name: str, vehicle: Vehicle | None) -> tuple[Array, complex]:
@@ -132,6 +160,7 @@ class _Streams(NamedTuple):
     rough: bool
     gyro_agrees: bool
     declination_deg: float | None
+    stated_deg: float
 
 
 def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
@@ -164,7 +193,8 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         if north is not None and abs(north) > LITTLE_DEG and abs(angle - north) < max(LITTLE_DEG, sure[1]):
             text = f"{text[:-1]}: the declination is {north:+.1f} deg there."
             cure = f"Is {heading} a magnetic compass? Then magnetic = true in vehicle.toml. {cure}"
-        yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure, "mounting")
+        wrong = min(20.0, max(WRONG / SURE * sure[1], streams.stated_deg))
+        yield Finding("error" if abs(angle) > wrong else "warning", name, text, cure, "mounting")
     if abs(scale - 1.0) > max(0.07, sure[0] * scale):
         yield _scale_finding(name, scale)
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
