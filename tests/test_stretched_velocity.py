@@ -46,3 +46,11 @@ def test_positions_tell_the_clock_of_a_velocity(scale):
     }
     expected = {} if scale == 1.0 else {"dvl": 1.0 / scale}
     assert scales(stretched(Mission("x", streams), "dvl", scale)) == pytest.approx(expected, abs=3e-4)
+
+
+@pytest.mark.parametrize("seed", [12, 15])
+def test_a_current_is_no_clock_and_turns_no_velocity(seed):
+    """Speeds through the water and over ground differ otherwise on each leg."""
+    vehicle, mission = simulate_scenario("water-track", seed, 600.0)
+    found = check_mission(replace(mission, truth=None), vehicle)
+    assert [f.text for f in found if f.severity != "info" and f.stream == "water"] == []

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navfilter.check.course_fit import WINDOW_S, Complex, Paths, share
+from navfilter.check.course_fit import WINDOW_S, Complex, Paths, share, without_gaps
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, correlation, factors, window_edges
 from navfilter.models.mission import Array
@@ -150,6 +150,7 @@ def fitted_clock(reference: Series, other: Series, window_s: float, most_s: floa
     """
     begin, end = (pick(reference[0][i], other[0][i]) for pick, i in ((max, 0), (min, -1)))
     edges = window_edges(begin + most_s, end - most_s - window_s, window_s / 4.0)
+    edges = without_gaps(edges, reference[0], other[0], window_s=window_s, gap_s=max(window_s, most_s))
     if edges.size < 10 * LEAST_WINDOWS:
         return None
     middle = 0.5 * float(edges[0] + edges[-1])

@@ -22,6 +22,7 @@ from navfilter.check.series import heading_of, unwrapped, vector
 from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import Array, Mission, Stream
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import matrix_from_euler
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
+#: What turns a velocity by more is no current, and spoils any replay [deg].
+GRAVE_DEG = 20.0
 #: Beyond so many a direction is wrong, where it is beyond what vehicle.toml says as well.
 WRONG = 5.0
 #: What a finding is about that vehicles of this kind may well do.
@@ -95,13 +98,13 @@ def course_findings(
             return
         if paths is not None and fit is not None:
             compared = True
-            if not stretched:
+            if not stretched and not through_water(vehicle, name):
                 what = f"the velocity is {{}} against the positions of {places.name}"
                 yield from noisy_stretch_finding(name, what, path_clock(paths), paths.time_s)
             stated = _stated_deg(vehicle, name, other, fit.speed_m_s)
-            streams = _Streams(
-                name, other, places.name, field, gyro_agrees, None if magnetic or field else north, stated
-            )
+            known_north = None if magnetic or field else north
+            water = through_water(vehicle, name)
+            streams = _Streams(name, other, places.name, field, gyro_agrees, known_north, stated, water)
             yield from _course_findings(streams, fit)
     if not compared:
         yield from _main_direction(name, v, speed)
@@ -124,6 +127,11 @@ def part_of(vehicle: Vehicle, stream: str) -> Any:
     """The sensor, or the part of what drives, behind a stream."""
     drive = {"velocity": vehicle.drive.velocity_sensor, "attitude": vehicle.drive.compass}
     return vehicle.sensors.get(stream) or drive.get(stream)
+
+
+def through_water(vehicle: Vehicle | None, stream: str) -> bool:
+    """Whether a stream is a velocity through the water, with a current between it and the ground."""
+    return vehicle is not None and getattr(part_of(vehicle, stream), "observes", None) is Observable.VELOCITY_WATER
 
 
 def stated_direction(part: Any, speed_m_s: float) -> float:
@@ -161,6 +169,7 @@ class _Streams(NamedTuple):
     gyro_agrees: bool
     declination_deg: float | None
     stated_deg: float
+    water: bool
 
 
 def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
@@ -185,7 +194,7 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         yield Finding("error", heading, "the heading turns the wrong way against the course over ground.", cure)
     if fit.side_sign < 0 or (not mirrored and fit.side < -0.3 and fit.side + SURE * fit.side_sd < 0.0):
         yield mirrored_finding(name, "it fits the positions with its y axis reversed")
-    if not mirrored and abs(angle) > max(15.0 if streams.rough else 4.0, sure[1]):
+    if not mirrored and abs(angle) > max(GRAVE_DEG if streams.water else 15.0 if streams.rough else 4.0, sure[1]):
         text = f"the velocity must be turned by {angle:+.1f} deg to follow the course over ground."
         cure = f"Either the instrument is mounted so (mounting_deg yaw {angle:+.0f}) or the heading is off by that much"
         cure += " (a magnetic one by the declination: magnetic = true in vehicle.toml)."
@@ -193,9 +202,9 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         if north is not None and abs(north) > LITTLE_DEG and abs(angle - north) < max(LITTLE_DEG, sure[1]):
             text = f"{text[:-1]}: the declination is {north:+.1f} deg there."
             cure = f"Is {heading} a magnetic compass? Then magnetic = true in vehicle.toml. {cure}"
-        wrong = min(20.0, max(WRONG / SURE * sure[1], streams.stated_deg))
+        wrong = min(GRAVE_DEG, max(WRONG / SURE * sure[1], streams.stated_deg))
         yield Finding("error" if abs(angle) > wrong else "warning", name, text, cure, "mounting")
-    if abs(scale - 1.0) > max(0.07, sure[0] * scale):
+    if abs(scale - 1.0) > max(0.25 if streams.water else 0.07, sure[0] * scale):
         yield _scale_finding(name, scale)
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
     if fit.shortest_s < abs(fit.late_s) < MOST_DELAY_S - 0.01 and fit.residual < 0.6 * fit.plain_residual:

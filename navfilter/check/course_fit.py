@@ -138,12 +138,12 @@ def paths_of(time_s: Array, v: Array, heading: tuple[Array, Array], places: Plac
     return Paths(time_s, v[:, 0] + 1j * v[:, 1], heading, places, edges)
 
 
-def without_gaps(edges: Array, *clocks: Array) -> Array:
-    """Starts of the windows across no gap of half their length: such a window has no displacement of its own."""
+def without_gaps(edges: Array, *clocks: Array, window_s: float = WINDOW_S, gap_s: float = WINDOW_S / 2.0) -> Array:
+    """Starts of the windows across no gap so long: such a window has no displacement of its own."""
     for times in clocks:
-        before = np.concatenate([[0], np.cumsum(np.diff(times) > WINDOW_S / 2.0)])
+        before = np.concatenate([[0], np.cumsum(np.diff(times) > gap_s)])
         first = np.searchsorted(times, edges, side="right") - 1
-        last = np.searchsorted(times, edges + WINDOW_S)
+        last = np.searchsorted(times, edges + window_s)
         edges = edges[before[np.minimum(last, times.size - 1)] == before[np.maximum(first, 0)]]
     return edges
 

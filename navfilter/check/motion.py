@@ -71,7 +71,7 @@ def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Fin
             found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
-    yield from pair_findings(mission)
+    yield from pair_findings(mission, vehicle)
     yield from axes_findings(mission, vehicle)
     stretched = list(speeding_up_findings(mission, vehicle))
     yield from stretched

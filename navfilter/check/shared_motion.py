@@ -17,7 +17,7 @@ from navfilter.check.clock_offsets import (
     noisy_stretch_finding,
     stretched_finding,
 )
-from navfilter.check.course import SURE, mounting_of
+from navfilter.check.course import SURE, mounting_of, through_water
 from navfilter.check.course_fit import Complex
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, heading_of, integral, jackknife, unwrapped, vector, window_edges
@@ -91,7 +91,7 @@ def late_finding(name: str, what: str, late_s: float) -> Finding:
     return Finding("warning", name, text, f"{cure}time_offset_sd_s = {sd:g} in vehicle.toml.", "clock")
 
 
-def pair_findings(mission: Mission) -> Iterator[Finding]:
+def pair_findings(mission: Mission, vehicle: Vehicle | None = None) -> Iterator[Finding]:
     """Clocks of streams that show the same turns, without a gyro, or the same speed."""
     inertial = any("force_x_m_s2" in stream.columns for stream in mission.streams.values())
     turns: dict[str, Series] = {}
@@ -105,7 +105,7 @@ def pair_findings(mission: Mission) -> Iterator[Finding]:
             ways[name] = stream.time_s[known], integral(stream.time_s[known], speed[known])
     for kind, window_s, of in (("heading", TURN_S, turns), ("speed", WAY_S, ways)):
         for (first, a), (second, b) in itertools.combinations(of.items(), 2):
-            if min(a[0].size, b[0].size) >= 20:
+            if min(a[0].size, b[0].size) >= 20 and through_water(vehicle, first) == through_water(vehicle, second):
                 yield from clock_finding(second, f"its {kind} is {{}} against that of {first}", a, b, window_s)
 
 
