@@ -229,7 +229,7 @@ def stretched_finding(name: str, what: str, fit: ClockFit, step_s: float, span_s
         own = round(own) if own >= 1.0 - within else 1.0 / round(1.0 / own)
         cure += f"{own / step_s:.5f} (rows are then {own:.4g} s apart, and were printed as {step_s:.6g})"
     else:
-        cure += f"{scale:.5f}"
+        cure += f"{scale:.5f} (or {1.0 / scale:.5f} for the other, where several streams say this of it)"
     return Finding("error", name, f"{text}.", f"{cure} in time of [streams.{name}].")
 
 
