@@ -290,3 +290,13 @@ def test_a_clock_that_the_vehicle_describes_is_no_finding():
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100.0), sensors={"compass": compass})
     texts = [f.text for f in motion_findings(late, vehicle) if f.stream == "compass"]
     assert not [text for text in texts if "late against" in text] and any("follows the gyro" in text for text in texts)
+
+
+def test_coarse_readings_are_not_held_ones():
+    """A heading in steps of a tenth of a degree repeats itself; so does a slower one that is held, all the same."""
+    fine = np.radians(30.0 + 0.06 * np.random.default_rng(1).standard_normal(4000))
+    coarse = np.radians(0.1) * np.round(fine / np.radians(0.1))
+    time_s = 0.125 * np.arange(4000)
+    for values, held in ((coarse, False), (np.repeat(fine[:1000], 4), True), (np.repeat(coarse[:1000], 4), True)):
+        heading = Mission("x", {"compass": Stream(time_s, values[:, None], ("heading_rad",))})
+        assert ("repeat the one before" in said(heading, "warning")) == held

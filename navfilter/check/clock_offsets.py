@@ -10,12 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navfilter.check.course_fit import WINDOW_S, Paths, share
+from navfilter.check.course_fit import WINDOW_S, Complex, Paths, share, without_gaps
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, correlation, factors, window_edges
 from navfilter.models.mission import Array
 
-__all__ = ["ClockFit", "far_finding", "fitted_clock", "late_by", "late_path_by"]
+__all__ = [
+    "ClockFit",
+    "far_finding",
+    "fitted_clock",
+    "fitted_shift",
+    "late_by",
+    "late_path_by",
+    "noisy_stretch_finding",
+    "path_clock",
+    "stretched_finding",
+]
 
 #: Delays are looked for up to this, or a quarter of the time that both are there [s], in steps of so much [s].
 MOST_S, STEP_S = 120.0, 0.5
@@ -29,6 +39,12 @@ CLOSE, CLOSELY_S = 0.1, 1.0
 LEAST_WINDOWS = 20
 #: Rates of clocks up to this are looked for [1]: 400 rows over 400 s are off by a four hundredth.
 RATE = 0.01
+#: A drift of less over a mission is none [s].
+DRIFT_S = 0.3
+#: Steps are those of a rate in whole numbers, or a whole number of seconds, within this share.
+ROUND = 2e-4
+#: A rate told by noisy comparisons is believed beyond so many standard deviations, and where it leaves so much less.
+SURER, EXPLAINS = 5.0, 0.97
 #: By how much clocks differ that people mix up [s].
 KNOWN = {18.0: "GPS time is 18 s ahead of UTC", 37.0: "TAI is 37 s ahead of UTC", 19.0: "TAI is 19 s ahead of GPS time"}
 
@@ -84,6 +100,21 @@ def late_path_by(paths: Paths, left: float) -> float | None:
     return _best(unexplained, min(MOST_S, 0.25 * float(paths.edges[-1] - paths.edges[0])))
 
 
+def path_clock(paths: Paths) -> ClockFit | None:
+    """How a velocity's stamps lie against those of the positions, which it leads to by the heading; these err more."""
+    if paths.edges.size < 2 * LEAST_WINDOWS:
+        return None
+
+    def pairs(moved: Complex) -> Array:
+        return moved.view(float).reshape(-1, 2)
+
+    def found(late_s: float, rate: float) -> Array:
+        return pairs(paths.way(paths.body, late_s, rate=rate))
+
+    wanted = pairs(paths.moved(paths.places.time_s, paths.places.plane))
+    return fitted_shift(paths.edges, wanted, found, 0.5)
+
+
 class ClockFit(NamedTuple):
     """How the stamps of a series lie against those of another one that shows the same.
 
@@ -119,6 +150,7 @@ def fitted_clock(reference: Series, other: Series, window_s: float, most_s: floa
     """
     begin, end = (pick(reference[0][i], other[0][i]) for pick, i in ((max, 0), (min, -1)))
     edges = window_edges(begin + most_s, end - most_s - window_s, window_s / 4.0)
+    edges = without_gaps(edges, reference[0], other[0], window_s=window_s, gap_s=max(window_s, most_s))
     if edges.size < 10 * LEAST_WINDOWS:
         return None
     middle = 0.5 * float(edges[0] + edges[-1])
@@ -127,19 +159,52 @@ def fitted_clock(reference: Series, other: Series, window_s: float, most_s: floa
         ahead, here = (np.interp(at + late_s + rate * (at - middle), *series) for at in (edges + window_s, edges))
         return np.asarray(ahead - here)
 
-    wanted = increments(reference, 0.0)
+    by_s = 0.5 * float(np.median(np.diff(other[0])))
+    return fitted_shift(edges, increments(reference, 0.0), lambda *clock: increments(other, *clock), by_s, most_s)
+
+
+def fitted_shift(
+    edges: Array,
+    wanted: Array,
+    found: Callable[[float, float], Array],
+    by_s: float,
+    most_s: float = LEAST_S,
+    alike: float = 1.0 - LEFT,
+) -> ClockFit | None:
+    """As `fitted_clock`, of anything that a delay in the middle [s] and a rate change.
+
+    Parameters
+    ----------
+    edges : ndarray
+        Times of what is compared, (n,).
+    wanted : ndarray
+        What one clock shows, (n,) or (n, k).
+    found : callable
+        The same by the other clock that is so late, and runs so much too fast.
+    by_s : float
+        Delays are told by differences over twice this.
+    most_s : float
+        Delays up to this are looked for.
+    alike : float
+        Correlation below which the two have too little in common.
+    """
+    many = wanted[0].size
+    wanted, ahead_s = wanted.ravel(), np.repeat(edges - 0.5 * (edges[0] + edges[-1]), many)
+
+    def increments(late_s: float, rate: float) -> Array:
+        return found(late_s, rate).ravel()
+
     late_s, rate = 0.0, 0.0
     sd = np.array([math.inf, math.inf])
     # a clock that runs at another rate blurs any one delay: first the best of a few rates
     grid = [(s, r) for s in np.linspace(-most_s, most_s, 41) for r in np.linspace(-RATE, RATE, 9)]
-    late_s, rate = max(grid, key=lambda one: correlation(wanted, increments(other, *one))[0])
+    late_s, rate = max(grid, key=lambda one: correlation(wanted, increments(*one))[0])
     for _ in range(4):
-        found = increments(other, late_s, rate)
-        if correlation(wanted, found)[0] < 1.0 - LEFT:
+        here = increments(late_s, rate)
+        if correlation(wanted, here)[0] < alike:
             return None
-        by = 0.5 * float(np.median(np.diff(other[0])))
-        change = (increments(other, late_s + by, rate) - increments(other, late_s - by, rate)) / (2.0 * by)
-        columns = np.column_stack([np.ones(edges.size), found, change, change * (edges - middle)])
+        change = (increments(late_s + by_s, rate) - increments(late_s - by_s, rate)) / (2.0 * by_s)
+        columns = np.column_stack([np.ones(wanted.size), here, change, change * ahead_s])
         best, spread = factors(columns, wanted)
         if abs(best[1]) < 1e-9:
             return None
@@ -147,10 +212,40 @@ def fitted_clock(reference: Series, other: Series, window_s: float, most_s: floa
         sd = np.abs(spread[2:] / best[1])
         if abs(late_s) > most_s or abs(rate) > 2.0 * RATE:
             return None
-    left = 1.0 - correlation(wanted, increments(other, late_s, rate))[0] ** 2
+    left = 1.0 - correlation(wanted, increments(late_s, rate))[0] ** 2
     delays = late_s + np.linspace(-0.5, 0.5, 21) * abs(rate) * (edges[-1] - edges[0])
-    without = 1.0 - max(correlation(wanted, increments(other, float(s)))[0] for s in delays) ** 2
+    without = 1.0 - max(correlation(wanted, increments(float(s), 0.0))[0] for s in delays) ** 2
     return ClockFit(float(late_s), float(sd[0]), float(rate), float(sd[1]), left, without)
+
+
+def stretched_finding(name: str, what: str, fit: ClockFit, step_s: float, span_s: float) -> Finding:
+    """That a stream's stamps, so far apart and over so long [s], are stretched, and how to scale them."""
+    own, scale = step_s / (1.0 + fit.rate), 1.0 / (1.0 + fit.rate)
+    ends = (fit.late_s + side * fit.rate * span_s for side in (-0.5, 0.5))
+    text = what.format("late by {:+.2f} s at the beginning and by {:+.2f} s at the end,".format(*ends))
+    cure = "Its stamps are stretched, or rows are missing: set time.scale = "
+    within = max(ROUND, min(SURER * fit.rate_sd, 0.3 * abs(fit.rate)))
+    if _is_round(own, within) and not _is_round(step_s):
+        own = round(own) if own >= 1.0 - within else 1.0 / round(1.0 / own)
+        cure += f"{own / step_s:.5f} (rows are then {own:.4g} s apart, and were printed as {step_s:.6g})"
+    else:
+        cure += f"{scale:.5f} (or {1.0 / scale:.5f} for the other, where several streams say this of it)"
+    return Finding("error", name, f"{text}.", f"{cure} in time of [streams.{name}].")
+
+
+def noisy_stretch_finding(name: str, what: str, fit: ClockFit | None, time_s: Array) -> Iterator[Finding]:
+    """The same of stamps [s] that are compared by what errs much, where it is sure."""
+    span_s = float(time_s[-1] - time_s[0])
+    if fit is None or abs(fit.rate) < max(SURER * fit.rate_sd, 2.0 * DRIFT_S / span_s):
+        return
+    if fit.left < EXPLAINS * fit.left_without:
+        yield stretched_finding(name, what, fit, float(np.median(np.diff(time_s))), span_s)
+
+
+def _is_round(step_s: float, within: float = ROUND) -> bool:
+    """Whether a step is one that people set: so many in a second, or so many seconds."""
+    times = 1.0 / step_s if step_s < 1.0 else step_s
+    return abs(times / max(round(times), 1) - 1.0) < within
 
 
 def _best(unexplained: Callable[[float], float], most_s: float) -> float | None:

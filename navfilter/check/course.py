@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import far_finding, late_path_by
+from navfilter.check.clock_offsets import far_finding, late_path_by, noisy_stretch_finding, path_clock
 from navfilter.check.course_fit import (
     MOST_DELAY_S,
     CourseFit,
@@ -19,8 +19,10 @@ from navfilter.check.course_fit import (
 )
 from navfilter.check.finding import Finding
 from navfilter.check.series import heading_of, unwrapped, vector
+from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import Array, Mission, Stream
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import matrix_from_euler
 
 if TYPE_CHECKING:
@@ -28,6 +30,10 @@ if TYPE_CHECKING:
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
+#: What turns a velocity by more is no current, and spoils any replay [deg].
+GRAVE_DEG = 20.0
+#: Beyond so many a direction is wrong, where it is beyond what vehicle.toml says as well.
+WRONG = 5.0
 #: What a finding is about that vehicles of this kind may well do.
 HABIT = "habit"
 #: Angles apart by less are the same for these data [deg].
@@ -37,9 +43,14 @@ LOOSE = 0.25
 
 
 def course_findings(
-    name: str, stream: Stream, mission: Mission, vehicle: Vehicle | None, gyro_agrees: bool = False
+    name: str,
+    stream: Stream,
+    mission: Mission,
+    vehicle: Vehicle | None,
+    gyro_agrees: bool = False,
+    stretched: bool = False,
 ) -> Iterator[Finding]:
-    """Findings about a velocity stream whose axes, sign, scale or clock do not fit the positions."""
+    """Findings about a velocity stream whose axes, sign, scale or clock (unless known) do not fit the positions."""
     mounting, lever = mounting_of(name, vehicle)
     v = vector(stream, "v_x_m_s") @ mounting.T
     speed = np.hypot(v[:, 0], v[:, 1])
@@ -85,9 +96,15 @@ def course_findings(
             cure = "The filter needs the velocity in the axes of the instrument or the vehicle: have it recorded so"
             yield Finding("error", name, text, f"{cure} (of a DVL: instrument or ship coordinates, not earth).")
             return
-        if fit is not None:
+        if paths is not None and fit is not None:
             compared = True
-            streams = _Streams(name, other, places.name, field, gyro_agrees, None if magnetic or field else north)
+            if not stretched and not through_water(vehicle, name):
+                what = f"the velocity is {{}} against the positions of {places.name}"
+                yield from noisy_stretch_finding(name, what, path_clock(paths), paths.time_s)
+            stated = _stated_deg(vehicle, name, other, fit.speed_m_s)
+            known_north = None if magnetic or field else north
+            water = through_water(vehicle, name)
+            streams = _Streams(name, other, places.name, field, gyro_agrees, known_north, stated, water)
             yield from _course_findings(streams, fit)
     if not compared:
         yield from _main_direction(name, v, speed)
@@ -104,6 +121,33 @@ def _declination(mission: Mission) -> float | None:
     if not abs(latitude) <= 90.0:
         return None
     return math.degrees(declination(latitude, longitude, 0.0, believable(mission.date)))
+
+
+def part_of(vehicle: Vehicle, stream: str) -> Any:
+    """The sensor, or the part of what drives, behind a stream."""
+    drive = {"velocity": vehicle.drive.velocity_sensor, "attitude": vehicle.drive.compass}
+    return vehicle.sensors.get(stream) or drive.get(stream)
+
+
+def through_water(vehicle: Vehicle | None, stream: str) -> bool:
+    """Whether a stream is a velocity through the water, with a current between it and the ground."""
+    return vehicle is not None and getattr(part_of(vehicle, stream), "observes", None) is Observable.VELOCITY_WATER
+
+
+def stated_direction(part: Any, speed_m_s: float) -> float:
+    """How well a heading or a horizontal velocity is believed to know a direction at a speed (sd) [rad]."""
+    if part is None:
+        return math.inf
+    models = part.models[-1:] if part.units[-1] == "rad" else part.models[:2]
+    sd = math.sqrt(max(map(stated_variance, models)))
+    return sd if part.units[-1] == "rad" else sd / max(speed_m_s, 1e-9)
+
+
+def _stated_deg(vehicle: Vehicle | None, velocity: str, heading: str, speed_m_s: float) -> float:
+    """What a vehicle says of both together [deg]; nothing without one."""
+    if vehicle is None:
+        return math.inf
+    return math.degrees(math.hypot(*(stated_direction(part_of(vehicle, n), speed_m_s) for n in (velocity, heading))))
 
 
 def mounting_of(name: str, vehicle: Vehicle | None) -> tuple[Array, complex]:
@@ -124,6 +168,8 @@ class _Streams(NamedTuple):
     rough: bool
     gyro_agrees: bool
     declination_deg: float | None
+    stated_deg: float
+    water: bool
 
 
 def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
@@ -148,7 +194,7 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         yield Finding("error", heading, "the heading turns the wrong way against the course over ground.", cure)
     if fit.side_sign < 0 or (not mirrored and fit.side < -0.3 and fit.side + SURE * fit.side_sd < 0.0):
         yield mirrored_finding(name, "it fits the positions with its y axis reversed")
-    if not mirrored and abs(angle) > max(15.0 if streams.rough else 4.0, sure[1]):
+    if not mirrored and abs(angle) > max(GRAVE_DEG if streams.water else 15.0 if streams.rough else 4.0, sure[1]):
         text = f"the velocity must be turned by {angle:+.1f} deg to follow the course over ground."
         cure = f"Either the instrument is mounted so (mounting_deg yaw {angle:+.0f}) or the heading is off by that much"
         cure += " (a magnetic one by the declination: magnetic = true in vehicle.toml)."
@@ -156,8 +202,9 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
         if north is not None and abs(north) > LITTLE_DEG and abs(angle - north) < max(LITTLE_DEG, sure[1]):
             text = f"{text[:-1]}: the declination is {north:+.1f} deg there."
             cure = f"Is {heading} a magnetic compass? Then magnetic = true in vehicle.toml. {cure}"
-        yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure, "mounting")
-    if abs(scale - 1.0) > max(0.07, sure[0] * scale):
+        wrong = min(GRAVE_DEG, max(WRONG / SURE * sure[1], streams.stated_deg))
+        yield Finding("error" if abs(angle) > wrong else "warning", name, text, cure, "mounting")
+    if abs(scale - 1.0) > max(0.25 if streams.water else 0.07, sure[0] * scale):
         yield _scale_finding(name, scale)
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
     if fit.shortest_s < abs(fit.late_s) < MOST_DELAY_S - 0.01 and fit.residual < 0.6 * fit.plain_residual:

@@ -90,9 +90,10 @@ class Paths:
         )
         return ahead - here
 
-    def way(self, body: Complex, late_s: float = 0.0, heading_sign: int = 1) -> Complex:
-        """Displacement by dead reckoning within each window."""
-        at = self.time_s - late_s
+    def way(self, body: Complex, late_s: float = 0.0, heading_sign: int = 1, rate: float = 0.0) -> Complex:
+        """Displacement by dead reckoning within each window, of a velocity so late in the middle, so much too fast."""
+        middle = 0.5 * float(self.edges[0] + self.edges[-1])
+        at = self.time_s - late_s - rate * (self.time_s - middle)
         turned = body * np.exp(1j * heading_sign * np.interp(at, *self.heading))
         return self.moved(at, integral(at, turned.view(float).reshape(-1, 2)) @ np.array([1.0, 1j]))
 
@@ -137,12 +138,12 @@ def paths_of(time_s: Array, v: Array, heading: tuple[Array, Array], places: Plac
     return Paths(time_s, v[:, 0] + 1j * v[:, 1], heading, places, edges)
 
 
-def without_gaps(edges: Array, *clocks: Array) -> Array:
-    """Starts of the windows across no gap of half their length: such a window has no displacement of its own."""
+def without_gaps(edges: Array, *clocks: Array, window_s: float = WINDOW_S, gap_s: float = WINDOW_S / 2.0) -> Array:
+    """Starts of the windows across no gap so long: such a window has no displacement of its own."""
     for times in clocks:
-        before = np.concatenate([[0], np.cumsum(np.diff(times) > WINDOW_S / 2.0)])
+        before = np.concatenate([[0], np.cumsum(np.diff(times) > gap_s)])
         first = np.searchsorted(times, edges, side="right") - 1
-        last = np.searchsorted(times, edges + WINDOW_S)
+        last = np.searchsorted(times, edges + window_s)
         edges = edges[before[np.minimum(last, times.size - 1)] == before[np.maximum(first, 0)]]
     return edges
 

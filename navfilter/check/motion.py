@@ -14,7 +14,13 @@ from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
-from navfilter.check.shared_motion import TURN_S, axes_findings, clock_finding, pair_findings
+from navfilter.check.shared_motion import (
+    TURN_S,
+    axes_findings,
+    clock_finding,
+    pair_findings,
+    speeding_up_findings,
+)
 from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
@@ -65,14 +71,17 @@ def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Fin
             found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
-    yield from pair_findings(mission)
+    yield from pair_findings(mission, vehicle)
     yield from axes_findings(mission, vehicle)
+    stretched = list(speeding_up_findings(mission, vehicle))
+    yield from stretched
     if vehicle is not None:
         yield from surfacing_findings(mission, vehicle)
         yield from height_findings(mission, vehicle)
     for name, stream in mission.streams.items():
         if "v_x_m_s" in stream.columns:
-            yield from course_findings(name, stream, mission, vehicle, agrees)
+            known = name in {finding.stream for finding in stretched}
+            yield from course_findings(name, stream, mission, vehicle, agrees, known)
             yield from vertical_findings(name, mission, vehicle)
             if vehicle is not None:
                 yield from sideways_findings(name, mission, vehicle)

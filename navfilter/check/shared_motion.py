@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import fitted_clock
-from navfilter.check.course import SURE, mounting_of
+from navfilter.check.clock_offsets import (
+    DRIFT_S,
+    ClockFit,
+    fitted_clock,
+    fitted_shift,
+    noisy_stretch_finding,
+    stretched_finding,
+)
+from navfilter.check.course import SURE, mounting_of, through_water
+from navfilter.check.course_fit import Complex
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, heading_of, integral, jackknife, unwrapped, vector, window_edges
 from navfilter.models.mission import Array, Mission, Stream
@@ -18,20 +26,20 @@ from navfilter.models.mission import Array, Mission, Stream
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["axes_findings", "clock_finding", "pair_findings"]
+__all__ = ["axes_findings", "clock_finding", "pair_findings", "speeding_up_findings"]
 
 #: Clocks are compared over windows of this length, speeds over longer ones [s].
 TURN_S, WAY_S = 2.0, 4.0
-#: A delay of less is none [s], and a drift of less over a mission [s].
-LATE_S, DRIFT_S = 0.3, 0.3
+#: A delay of less is none [s].
+LATE_S = 0.3
 #: A clock that runs at another rate leaves so little unexplained once that is known [1].
 CLEAN = 0.01
 #: What leaves more unexplained tells no delay either [1].
 LOOSE = 0.05
-#: Steps are those of a rate in whole numbers, or a whole number of seconds, within this share.
-ROUND = 2e-4
 #: Accelerations are compared over windows of this length [s], and say something from this correlation on.
 WINDOW_S, ALIKE = 1.0, 0.45
+#: For the clocks over these, which drown noise [s], from this correlation on.
+CLOCK_WINDOW_S, CLOCK_ALIKE = 3.0, 0.5
 #: Mirrored axes fit by so much better than any that are turned [1].
 MIRRORED = 1.5
 #: So far off are axes that are turned [rad].
@@ -64,20 +72,10 @@ def clock_finding(
         if late_s is not None and abs(late_s) > LATE_S:
             yield late_finding(name, what, late_s)
         return
-    span = float(other[0][-1] - other[0][0])
+    step_s, span_s = float(np.median(np.diff(other[0]))), float(other[0][-1] - other[0][0])
     explains = fit.left < CLEAN and fit.left < 0.5 * fit.left_without
-    if explains and abs(fit.rate) > SURE * fit.rate_sd and abs(fit.rate) * span > DRIFT_S:
-        step = float(np.median(np.diff(other[0])))
-        own, scale = step / (1.0 + fit.rate), 1.0 / (1.0 + fit.rate)
-        ends = (fit.late_s + side * fit.rate * span for side in (-0.5, 0.5))
-        text = what.format("late by {:+.2f} s at the beginning and by {:+.2f} s at the end,".format(*ends))
-        cure = "Its stamps are stretched, or rows are missing: set time.scale = "
-        if _is_round(own) and not _is_round(step):
-            own = round(own) if own >= 1.0 - ROUND else 1.0 / round(1.0 / own)
-            cure += f"{own / step:.5f} (rows are then {own:.4g} s apart, and were printed as {step:.6g})"
-        else:
-            cure += f"{scale:.5f}"
-        yield Finding("error", name, f"{text}.", f"{cure} in time of [streams.{name}].")
+    if explains and abs(fit.rate) > SURE * fit.rate_sd and abs(fit.rate) * span_s > DRIFT_S:
+        yield stretched_finding(name, what, fit, step_s, span_s)
     elif late_s is not None:
         if abs(late_s) > LATE_S:
             yield late_finding(name, what, late_s)
@@ -93,13 +91,7 @@ def late_finding(name: str, what: str, late_s: float) -> Finding:
     return Finding("warning", name, text, f"{cure}time_offset_sd_s = {sd:g} in vehicle.toml.", "clock")
 
 
-def _is_round(step_s: float) -> bool:
-    """Whether a step is one that people set: so many in a second, or so many seconds."""
-    times = 1.0 / step_s if step_s < 1.0 else step_s
-    return abs(times / max(round(times), 1) - 1.0) < ROUND
-
-
-def pair_findings(mission: Mission) -> Iterator[Finding]:
+def pair_findings(mission: Mission, vehicle: Vehicle | None = None) -> Iterator[Finding]:
     """Clocks of streams that show the same turns, without a gyro, or the same speed."""
     inertial = any("force_x_m_s2" in stream.columns for stream in mission.streams.values())
     turns: dict[str, Series] = {}
@@ -113,7 +105,7 @@ def pair_findings(mission: Mission) -> Iterator[Finding]:
             ways[name] = stream.time_s[known], integral(stream.time_s[known], speed[known])
     for kind, window_s, of in (("heading", TURN_S, turns), ("speed", WAY_S, ways)):
         for (first, a), (second, b) in itertools.combinations(of.items(), 2):
-            if min(a[0].size, b[0].size) >= 20:
+            if min(a[0].size, b[0].size) >= 20 and through_water(vehicle, first) == through_water(vehicle, second):
                 yield from clock_finding(second, f"its {kind} is {{}} against that of {first}", a, b, window_s)
 
 
@@ -122,6 +114,21 @@ def _speed(stream: Stream) -> Array | None:
         if all(column in stream.columns for column in columns):
             return np.sqrt(sum((stream.column(column) ** 2 for column in columns), np.zeros(len(stream))))
     return None
+
+
+def speeding_up_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Velocities whose stamps are stretched: speeding up, slowing down and turning are felt on another clock."""
+    units = [(n, s) for n, s in mission.streams.items() if "force_x_m_s2" in s.columns]
+    for name, stream in mission.streams.items():
+        for unit, imu in units if "v_x_m_s" in stream.columns else ():
+            motion = _motion(imu, stream, *mounting_of(name, vehicle))
+            if motion is None:
+                break
+            what = f"the velocity is {{}} against the accelerations of {unit}"
+            found = [*noisy_stretch_finding(name, what, motion.clock(), motion.time_s)]
+            yield from found
+            if found:
+                break
 
 
 class _Turned(NamedTuple):
@@ -139,10 +146,15 @@ def axes_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding
         if "force_x_m_s2" not in imu.columns:
             continue
         for other, stream in velocities:
-            motion = _accelerations(imu, stream, mounting_of(other, vehicle)[0])
+            motion = _motion(imu, stream, *mounting_of(other, vehicle))
             if motion is None:
                 continue
-            moved, as_read, *others = motion
+            length_s = max(WINDOW_S, 2.0 * float(np.median(np.diff(motion.time_s))))
+            edges = motion.edges(length_s, length_s)
+            if edges.size < 60:
+                continue
+            moved = _changes(edges, length_s, motion.time_s, motion.moved())
+            as_read, *others = (_changes(edges, length_s, imu.time_s, felt) for felt in motion.felt())
             straight, mirrored = (
                 _fit(moved, as_read),
                 max((_fit(moved, other) for other in others), key=lambda f: f.alike),
@@ -161,50 +173,103 @@ def axes_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding
                 yield Finding("error", name, f"{text} against how {other} speeds up and turns.", cure)
 
 
-def _accelerations(imu: Stream, stream: Stream, mounting: Array) -> tuple[Array, ...] | None:
-    """Changes of horizontal acceleration from window to window, as complex numbers x + iy: by a velocity and a gyro; by
-    the accelerometers as read; with y of the whole unit the other way round; with that of the forces alone.
+class _Motion(NamedTuple):
+    """Horizontal accelerations as complex numbers x + iy, and their changes from window to window: biases are slow.
+
+    Attributes
+    ----------
+    imu : Stream
+    time_s, body : ndarray
+        Of the velocity.
+    arm_m : complex
+        Where it is measured.
     """
+
+    imu: Stream
+    time_s: Array
+    body: Complex
+    arm_m: complex
+
+    def edges(self, length_s: float, step_s: float) -> Array:
+        """Starts of pairs of windows across no gap."""
+        begin, end = max(self.time_s[0], self.imu.time_s[0]), min(self.time_s[-1], self.imu.time_s[-1])
+        edges = window_edges(begin, end - 2.0 * length_s, step_s)
+        wide = np.concatenate([[0], np.cumsum(np.diff(self.time_s) > 3.0 * length_s)])
+        first = np.maximum(np.searchsorted(self.time_s, edges, side="right") - 1, 0)
+        last = np.minimum(np.searchsorted(self.time_s, edges + 2.0 * length_s), self.time_s.size - 1)
+        return edges[wide[first] == wide[last]]
+
+    def moved(self) -> Complex:
+        """What grows by the acceleration, by the velocity and the gyro: at the times of the velocity."""
+        turn = np.interp(self.time_s, self.imu.time_s, self._turn())
+        rate = np.gradient(turn, self.time_s)
+        body: Complex = self.body - 1j * rate * self.arm_m
+        return body + _integral(self.time_s, 1j * rate * body)
+
+    def felt(self) -> tuple[Complex, ...]:
+        """By the accelerometers as read; with y of the whole unit the other way round; with that of forces alone."""
+        at, rates = self.imu.time_s, vector(self.imu, "rate_x_rad_s")
+        forces = vector(self.imu, "force_x_m_s2") @ [1.0, 1j, 0.0]
+        heading = np.exp(1j * self._turn())
+        # in a turn a vehicle banks, and gravity is felt sideways: roll + i pitch by the gyros, whose drift is slow
+        tilts = [
+            _integral(at, (p + 1j * q) * heading) / heading
+            for p, q in ((rates[:, 0], rates[:, 1] * y) for y in (1.0, -1.0))
+        ]
+        pulls = [1j * GRAVITY * tilt for tilt in tilts]
+        read, mirrored, forced = forces + pulls[0], forces.conjugate() + pulls[1], forces.conjugate() + pulls[0]
+        return tuple(_integral(at, force) for force in (read, mirrored, forced))
+
+    def clock(self) -> ClockFit | None:
+        """How the velocity's stamps lie against those of the inertial unit, which errs less: that one is moved."""
+        length_s = max(CLOCK_WINDOW_S, 4.0 * float(np.median(np.diff(self.time_s))))
+        edges = self.edges(1.5 * length_s, length_s / 4.0)
+        if edges.size < 100:
+            return None
+        at, rate = self.imu.time_s, vector(self.imu, "rate_x_rad_s")[:, 2]
+        body: Complex = np.interp(at, self.time_s, self.body) - 1j * rate * self.arm_m
+        grows: Complex = self.felt()[0] - _integral(at, 1j * rate * body) + 1j * rate * self.arm_m
+        middle = 0.5 * float(edges[0] + edges[-1])
+
+        way, walked = _integral(at, grows), _integral(self.time_s, self.body)
+
+        def changes(edges: Array, times: Array, series: Complex) -> Array:
+            """From window to window, of means: a velocity that errs at random errs less in the mean."""
+            behind, ahead = (_changes(edges + shift, length_s, times, series) for shift in (0.0, length_s))
+            return (ahead - behind).view(float).reshape(-1, 2) / length_s
+
+        def found(late_s: float, rate: float) -> Array:
+            return changes(edges + late_s + rate * (edges - middle), at, way)
+
+        wanted = changes(edges, self.time_s, walked)
+        fit = fitted_shift(edges, wanted, found, 0.1 * length_s, alike=CLOCK_ALIKE)
+        return None if fit is None else fit._replace(late_s=-fit.late_s, rate=1.0 / (1.0 + fit.rate) - 1.0)
+
+    def _turn(self) -> Array:
+        return integral(self.imu.time_s, vector(self.imu, "rate_x_rad_s")[:, 2])
+
+
+def _changes(edges: Array, length_s: float, at: Array, series: Complex) -> Complex:
+    """From one window to the next, of the acceleration by which a series grows."""
+    first, second, third = (np.interp(edges + k * length_s, at, series) for k in range(3))
+    return third - 2.0 * second + first
+
+
+def _motion(imu: Stream, stream: Stream, mounting: Array, arm_m: complex) -> _Motion | None:
+    """What a velocity and an inertial unit say of the same motion; None where it is little."""
     v = vector(stream, "v_x_m_s") @ mounting.T
     known = np.asarray(np.isfinite(v[:, :2]).all(axis=1))
     known[1:] &= np.diff(stream.time_s) > 0.0
     times, v = stream.time_s[known], v[known]
-    if times.size < 100:
-        return None
-    length_s = max(WINDOW_S, 2.0 * float(np.median(np.diff(times))))
-    begin, end = max(times[0], imu.time_s[0]), min(times[-1], imu.time_s[-1]) - length_s
-    edges = window_edges(begin, end, length_s)
-    gaps = np.diff(times)
-    longest = np.maximum.reduceat(np.r_[gaps, 0.0], np.minimum(np.searchsorted(times, edges), gaps.size))
-    if edges.size < 60:
-        return None
-    turn = np.interp(times, imu.time_s, integral(imu.time_s, vector(imu, "rate_x_rad_s")[:, 2]))
-    rate = np.gradient(turn, times)
-    swung = integral(times, np.column_stack([-rate * v[:, 1], rate * v[:, 0]]))
-    rates, forces = vector(imu, "rate_x_rad_s"), vector(imu, "force_x_m_s2") @ [1.0, 1j, 0.0]
-    heading = np.exp(1j * integral(imu.time_s, rates[:, 2]))
-    # in a turn a vehicle banks, and gravity is felt sideways: roll + i pitch by the gyros, whose drift is slow
-    tilts = [
-        _integral(imu.time_s, (p + 1j * q) * heading) / heading
-        for p, q in ((rates[:, 0], rates[:, 1] * y) for y in (1.0, -1.0))
-    ]
-    pulls = [1j * GRAVITY * tilt for tilt in tilts]
-    felt = [forces + pulls[0], forces.conjugate() + pulls[1], forces.conjugate() + pulls[0]]
-
-    def within(at: Array, series: Array) -> Array:
-        return np.asarray(np.interp(edges + length_s, at, series) - np.interp(edges, at, series))
-
-    # biases change slowly: only what changes from window to window counts
-    moved = within(times, (v[:, :2] + swung) @ [1.0, 1j])
-    steady = (longest[1:] < 3.0 * length_s) & (longest[:-1] < 3.0 * length_s)
-    return tuple(np.diff(one)[steady] for one in (moved, *(within(imu.time_s, _integral(imu.time_s, f)) for f in felt)))
+    return _Motion(imu, times, np.asarray(v[:, :2] @ [1.0, 1j]), arm_m) if times.size >= 100 else None
 
 
-def _integral(times: Array, series: Array) -> Array:
-    return integral(times, series.real) + 1j * integral(times, series.imag)
+def _integral(times: Array, series: Complex) -> Complex:
+    pairs = np.ascontiguousarray(series, dtype=complex).view(float).reshape(-1, 2)
+    return np.asarray(integral(times, pairs) @ [1.0, 1j])
 
 
-def _fit(moved: Array, force: Array) -> _Turned:
+def _fit(moved: Complex, force: Complex) -> _Turned:
     power = float(np.vdot(moved, moved).real * np.vdot(force, force).real)
     if power <= 0.0 or moved.size < 40:
         return _Turned(0.0, 0.0, math.inf)

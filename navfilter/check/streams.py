@@ -17,6 +17,8 @@ from navfilter.models.mission import Array, Mission, Stream
 _EMPTYING_S = 0.05
 #: A number that stands for no reading comes so often, and lies so many times farther out than all readings.
 _SENTINELS, _FAR = 5, 5.0
+#: Of changes of readings that are coarse, not held, so many come right after another [1].
+_AT_ONCE = 0.2
 
 
 def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
@@ -110,12 +112,24 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
         return
     values = stream.value[:, measured]
     held = float(np.mean((np.diff(values, axis=0) == 0.0).all(axis=1)))
-    if held > 0.5:
+    if held > 0.5 and not _is_coarse(values):
         text = f"{100 * held:.0f} % of the readings repeat the one before: a slower sensor, held?"
         yield Finding("warning", name, text, "If so, set only_changes = true, or the filter takes old news for new.")
     yield from _sentinel(name, values)
     for k in measured:
         yield from _quantisation(name, stream.columns[k], stream.value[:, k])
+
+
+def _is_coarse(values: Array) -> bool:
+    """Whether readings repeat because their steps are coarse: most changes are of one step, and many come at once after
+    another, which those of a slower sensor, held, never do.
+    """
+    changes = np.abs(np.diff(values, axis=0))
+    step = np.min(changes, axis=0, initial=np.inf, where=changes > 1e-9 * np.nanmax(np.abs(values)))
+    changed = np.flatnonzero((changes > 0.0).any(axis=1))
+    if changed.size < 2:
+        return False
+    return bool(np.mean(changes[changed] < 1.5 * step) > 0.5 and np.mean(np.diff(changed) == 1) > _AT_ONCE)
 
 
 def _sentinel(name: str, values: Any) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from navfilter.check.course_fit import WINDOW_S, without_gaps
 from navfilter.check.finding import Finding
 from navfilter.check.series import correlation, factors, integral, vector, window_edges
 from navfilter.foundation.constants import ROUND_GRAVITY
+from navfilter.models.error_models import stated_variance
 from navfilter.models.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
@@ -71,8 +72,7 @@ def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
             expected_m = sensor.lever_arm_b_m[2] - receiver.lever_arm_b_m[2] - above_m
             off_m -= expected_m
             described = [*sensor.models, *(receiver.models[2:] if up_m is not None else ())]
-            blocks = [model.block(1.0) for model in described]
-            known_m = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks) + sensor.offset_sd_m**2)
+            known_m = math.sqrt(sum(map(stated_variance, described)) + sensor.offset_sd_m**2)
             if abs(off_m) < max(_STANDS_OUT * known_m, _MAST_M if up_m is None else 0.0):
                 continue
             text = f"where {fixes} has fixes it reads {off_m + expected_m:.2f} m,"
@@ -99,8 +99,7 @@ def height_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
         arms_m = gauge.lever_arm_b_m[2] - receiver.lever_arm_b_m[2]
         below_m = np.interp(at_s[usable], time_s, depth[good, 0])
         off_m = float(np.median(fix[usable, 2] + below_m)) - gauge.surface_height_m - arms_m
-        blocks = [model.block(1.0) for model in (receiver.models[2], *gauge.models)]
-        known_m = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks) + gauge.offset_sd_m**2)
+        known_m = math.sqrt(sum(map(stated_variance, (receiver.models[2], *gauge.models))) + gauge.offset_sd_m**2)
         if np.count_nonzero(usable) < 10 or not max(_STANDS_OUT * known_m, _SURFACE_M) < abs(off_m) < _GEOID_M:
             continue
         text = f"its heights are {abs(off_m):.1f} m {'above' if off_m > 0.0 else 'below'} where {name} has the antenna."

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from navfilter.calibration.estimate import said
 from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, kind_of, opened
+from navfilter.check.course import WRONG, part_of, stated_direction
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
 from navfilter.filter.records import OUTCOMES, Residuals
@@ -173,7 +174,19 @@ def left_out_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
             text += f" As well it may be that {WORDS[kind]} ({part[-1]})."
             cure += f", or {key_of(kind)} to [{'.'.join(part)}]"
         grade: Severity = "warning" if max(one.moved.square, one.turned.square) > ELSEWHERE else "info"
+        if grade == "warning" and _is_turned(one, run):
+            grade = "error"
         yield Finding(grade, one.part[-1], text, f"{cure}; 'navfilter calibrate' then finds it.")
+
+
+def _is_turned(one: LeftOut, run: Track) -> bool:
+    """Whether a direction is off by more than its description allows, and surely: the track is turned by as much."""
+    if one.kind not in CONSTANT_HEADING:
+        return False
+    speed_m_s = float(np.sqrt(np.mean(np.sum(run.velocity_n[:, :2] ** 2, axis=1))))
+    stated = stated_direction(part_of(run.vehicle, one.part[-1]), speed_m_s)
+    about_z = [(abs(value), sd) for own, unit, value, sd in one.found if unit == "rad" and own[-2:] not in ("_x", "_y")]
+    return any(value > max(WRONG * sd, stated) for value, sd in about_z)
 
 
 def _goes(one: LeftOut) -> str:

@@ -84,6 +84,12 @@ def block_level(block: Block) -> float:
     return float(response @ block.Q @ response) + block.r
 
 
+def stated_variance(model: ErrorModel) -> float:
+    """Of a single reading where a description begins, at one in a second: what it believes of it beforehand."""
+    block = model.block(1.0)
+    return block.r + float(block.C @ block.P0 @ block.C)
+
+
 class Integrated(NamedTuple):
     """What the integral of an error gathers, see `ErrorModel.integrated`.
 

@@ -23,6 +23,7 @@ _CORRECTING = (
     ("odometry", ("odometry",)),
     ("depth", ("depth", "pressure", "gauge-pressure")),
     ("gps", ("position",)),
+    ("course", ("ground-velocity",)),
 )
 _ATTITUDES = (
     "attitude|magnetic-attitude",
@@ -85,8 +86,13 @@ def chosen_streams(found: Survey, like: str = "") -> tuple[list[Drafted], list[D
     MissionError
         If nothing in the log can drive.
     """
-    uses = [(topic, use) for topic, use in uses_of(found) if use.reading not in _FROM_FIXES or _is_under_way(topic)]
+    told = found.uses or ()  # those of a table are judged by its guesses
+    uses = [
+        (topic, use) for topic, use in uses_of(found) if told or use.reading not in _FROM_FIXES or _is_under_way(topic)
+    ]
     driving, drive = _driving(found, uses, like)
+    if any(stream.reading in _FROM_FIXES for stream in driving):
+        uses = [(topic, use) for topic, use in uses if use.reading != "ground-velocity"]  # it is in what drives
     return driving, _correcting(found, uses, drive), drive
 
 
@@ -163,7 +169,7 @@ def still(attitude: Drafted, beams: bool = False) -> Drafted:
 
 
 def _correcting(found: Survey, uses: list[tuple[Topic, Use]], drive: str) -> list[Drafted]:
-    beside = {"depth": None, "gps": None, "dvl": ("beams",)}
+    beside = {"depth": None, "gps": None, "course": None, "dvl": ("beams",)}
     wanted = [
         (name, readings if drive == "imu" else beside[name] or readings)
         for name, readings in _CORRECTING

@@ -105,6 +105,8 @@ LIKE = {
 }
 #: Wheels slip, cameras lose their scale.
 _ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", sd = 0.1}]'
+#: Velocity of a receiver, whose antenna moves with the vessel.
+_RECEIVER = '[{model = "gauss-markov", sd = 0.1, tau_s = 5}, {model = "white", sd = 0.1}]'
 #: Of the angle between a beam and the vertical, at least.
 _SINE = 0.25
 #: A vessel has its antenna above the sea; heights of fixes and of dead reckoning say less.
@@ -155,7 +157,7 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
         "",
     ]
     lines += _drive(mission, readings, drive, kind)
-    for name in ("compass", "dvl", "odometry", "depth", "gps"):
+    for name in ("compass", "dvl", "odometry", "depth", "gps", "course"):
         if name in readings:
             own = _sensor(name, readings[name], kind, mission, topics[name], afloat)
             lines += [f"[sensors.{name}]", *own, ""]
@@ -219,6 +221,8 @@ def _sensor(name: str, reading: str, kind: Like, mission: Mission, topic: Topic,
         return ['type = "dvl-beams"', rate, f"error = {kind.velocity}", *_geometry(topic)]
     if name == "dvl":
         return ['type = "body-velocity"', rate, f"error = {kind.velocity}"]
+    if name == "course":
+        return ['type = "course"', rate, f"error = {_RECEIVER}"]
     if name == "depth":
         by_pressure = reading in ("pressure", "gauge-pressure")
         pressure = ["pressure = true                       # absolute, from the surface's 101325 Pa"] * by_pressure

@@ -52,6 +52,10 @@ _NAMES = {
     r"(?:_?(?:true|mag|angle))?",
     "depth": r"(?:m_)?(?:depth|tiefe|depth_?m)",
     "pressure": r"(?:abs(?:olute)?_?|water_?)?press(?:ure)?(?:_?abs)?",
+    "ground_speed": r"(?:gps|gnss|nav)?_?(?:sog|(?:speed|spd)(?:_?over_?(?:the_?)?(?:ground|grnd))?"
+    r"|(?:ground|gnd|g)_?(?:speed|spd|velocity)|(?:speed|spd)_?(?:ground|sog)|velocity)",
+    "course": r"(?:gps|gnss|nav)?_?(?:cog|course(?:_?over_?(?:the_?)?(?:ground|grnd))?|ground_?course|cmg|tmg"
+    r"|track_?(?:angle|made_?good|over_?ground|true)?)(?:_?(?:true|t|angle|deg))?",
     "water_speed": r"bsp|boat_?speed|stw|water_?speed|speed_?(?:through_?)?water|log_?speed",
 }
 _VELOCITIES = (
@@ -86,6 +90,10 @@ _ENDINGS = (
 )
 #: Units by their names in lower case.
 _UNITS = {name.lower(): known for name, known in [*ALIASES.items(), *zip(UNITS, UNITS, strict=True)]}
+#: What a speed over ground may be in, and the share within which the fixes say so [1].
+_SPEEDS, _WITHIN = ("m/s", "kn", "km/h"), 0.2
+#: What fixes say of heading and speed means nothing below this speed [m/s].
+_SLOWEST_M_S = 0.5
 #: No vehicle under water is faster [m/s]: larger numbers are millimetres.
 _FASTEST_M_S = 50.0
 #: How many readings a course needs to tell magnetic from true north, and how much they must differ [rad].
@@ -217,7 +225,7 @@ def _unit_of_time(values: Array) -> str:
 
 def _uses(table: Table, clock: _Clock) -> Iterator[Use]:
     """What the table can give, the preferred first."""
-    for give in (_inertial, _headings, _velocity, _water, _depth, _position):
+    for give in (_inertial, _headings, _velocity, _water, _depth, _position, _over_ground):
         yield from give(table, clock)
 
 
@@ -318,6 +326,49 @@ def _position(table: Table, _: _Clock) -> Iterator[Use]:
     yield _use("position", (line,), (latitude[0], longitude[0]), words)
 
 
+def _over_ground(table: Table, clock: _Clock) -> Iterator[Use]:
+    """Speed and course of a receiver: as its velocity, and in place of a log and a compass where there are none."""
+    speed, course = _named(table, "ground_speed"), _named(table, "course")
+    if speed is None:
+        return
+    name, why = _unit_of_speed(table, clock, *speed)
+    told = f"{speed[0]} in {name}{why}, over ground"
+    values = np.abs(table.numbers(speed[0])[0]) * UNITS[name].factor
+    under_way = bool(np.isfinite(values).any()) and float(np.nanmedian(values)) >= _SLOWEST_M_S
+    angle = "" if course is None else _unit_of_angle(table, *course)
+    if course is not None and angle:
+        line = f'course = {{columns = {json.dumps([speed[0], course[0]])}, unit = ["{name}", "{angle}"]}}'
+        words = f"{told}; {course[0]} in {angle}, its course, from true north"
+        yield _use("ground-velocity", (line,), (speed[0], course[0]), words)
+    if course is not None and angle and under_way:
+        columns = f"{{constant = 0.0}}, {{constant = 0.0}}, {json.dumps(course[0])}"
+        words = f"the heading is {course[0]}, the course over ground: no column is a heading"
+        yield _use("course", (f'attitude = {{columns = [{columns}], unit = "{angle}"}}',), (course[0],), words)
+    if under_way:
+        columns = f"{json.dumps(speed[0])}, {{constant = 0.0}}, {{constant = 0.0}}"
+        line = f'velocity = {{columns = [{columns}], unit = "{name}"}}'
+        yield _use("speed", (line,), (speed[0],), f"{told}, is taken as all forward: there is no log")
+
+
+def _unit_of_speed(table: Table, clock: _Clock, name: str, stated: str) -> tuple[str, str]:
+    """Unit of a speed over ground, and how that is known: its name, else the way between the fixes, else its kind."""
+    if stated and UNITS[stated].dimension == "speed":
+        return stated, ""
+    usual = "kn" if "sog" in name.lower() else "m/s"
+    fixes = _places(table)
+    if fixes is None:
+        return usual, ""
+    moved, _ = _moves(clock.time_s, *fixes)
+    speed = np.abs(table.numbers(name)[0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        known = np.abs(moved)[np.abs(moved) > _SLOWEST_M_S], speed[speed > 0.0]
+    if min(part.size for part in known) < _COURSES:
+        return usual, ""
+    factor = float(np.median(known[0]) / np.median(known[1]))
+    nearest = min(_SPEEDS, key=lambda unit: abs(math.log(factor / UNITS[unit].factor)))
+    return (nearest, ", by the fixes") if abs(factor / UNITS[nearest].factor - 1.0) < _WITHIN else (usual, "")
+
+
 def _unit_of_angle(table: Table, name: str, stated: str) -> str:
     if stated and UNITS[stated].dimension == "angle":
         return stated
@@ -347,22 +398,30 @@ def _with_letter(table: Table, name: str, letters: str) -> tuple[str, ...]:
     return (name, *behind) if cells and cells <= set(letters) else (name,)
 
 
+def _places(table: Table) -> tuple[Array, Array] | None:
+    """Latitudes and longitudes [deg], if there are columns of both."""
+    pairs = (("latitude", "NS"), ("longitude", "EW"))
+    named = [(_named(table, quantity), letters) for quantity, letters in pairs]
+    found = []
+    for one, letters in named:
+        if one is None or (unit := _unit_of_place(table, *one)) == "":
+            return None
+        degrees = angles(table.joined(_with_letter(table, one[0], letters)), unit)
+        found.append(1e-7 * degrees if unit == "degE7" else degrees)
+    return found[0], found[1]
+
+
 def _which_north(table: Table, clock: _Clock, heading: str, name: str) -> str:
     """Whether a heading counts from magnetic north: by its name, else by the course over ground and the declination."""
     if re.search(r"mag|hdm", heading.lower()):
         return "magnetic"
     if re.search(r"true|hdt", heading.lower()):
         return "true"
-    latitude, longitude = _named(table, "latitude"), _named(table, "longitude")
+    fixes = _places(table)
     moment = float(np.nanmedian(clock.time_s))
-    if latitude is None or longitude is None or not 1e9 < moment < 4.1e9:
+    if fixes is None or not 1e9 < moment < 4.1e9:
         return "magnetic" if re.search(r"compass|hdg", heading.lower()) else "true"
-    north, east = (
-        angles(table.joined(_with_letter(table, one[0], letters)), _unit_of_place(table, *one))
-        for one, letters in ((latitude, "NS"), (longitude, "EW"))
-    )
-    if _unit_of_place(table, *latitude) == "degE7":
-        north, east = 1e-7 * north, 1e-7 * east
+    north, east = fixes
     off, count = _course_off(clock.time_s, north, east, angles(table.raw(heading), name) * UNITS[name].factor)
     day = believable(datetime.datetime.fromtimestamp(moment, datetime.UTC).date())
     turned = declination(float(np.nanmedian(north)), float(np.nanmedian(east)), 0.0, day)
@@ -373,17 +432,23 @@ def _which_north(table: Table, clock: _Clock, heading: str, name: str) -> str:
 
 def _course_off(time_s: Array, latitude: Array, longitude: Array, heading: Array) -> tuple[float, int]:
     """By how much the course over ground is to the right of the heading, mostly [rad], and of how many readings."""
-    moved = np.r_[True, (np.diff(latitude) != 0.0) | (np.diff(longitude) != 0.0)]
-    good = np.flatnonzero(moved & np.isfinite(np.column_stack([time_s, latitude, longitude, heading])).all(axis=1))
-    if good.size < 3:
+    if np.count_nonzero(known := np.isfinite(np.column_stack([latitude, longitude, heading])).all(axis=1)) < 3:
         return 0.0, 0
-    step_s, up, right = (x[good[2:]] - x[good[:-2]] for x in (time_s, latitude, longitude))
-    north, east = 111.2e3 * up, 111.2e3 * right * math.cos(math.radians(float(np.nanmedian(latitude))))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        speed = np.hypot(north, east) / step_s
+    moved, at = _moves(time_s[known], latitude[known], longitude[known])
+    speed, heading = np.abs(moved), heading[known][at]
     fast = (speed > 0.5) & (speed < 30.0)
-    apart = np.exp(1j * (np.arctan2(east, north) - heading[good[1:-1]]))[fast]
+    apart = np.exp(1j * (np.angle(moved) - heading))[fast]
     if not apart.size:
         return 0.0, 0
     middle = float(np.angle(apart.sum()))
     return middle + float(np.median(np.angle(apart * np.exp(-1j * middle)))), int(fast.sum())
+
+
+def _moves(time_s: Array, latitude: Array, longitude: Array) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.intp]]:
+    """Velocities between fixes [deg], north + i east [m/s], each over two steps, and the rows in their middle."""
+    moved = np.r_[True, (np.diff(latitude) != 0.0) | (np.diff(longitude) != 0.0)]
+    good = np.flatnonzero(moved & np.isfinite(np.column_stack([time_s, latitude, longitude])).all(axis=1))
+    step_s, up, right = (x[good[2:]] - x[good[:-2]] for x in (time_s, latitude, longitude))
+    metres = 111.2e3 * (up + 1j * right * math.cos(math.radians(float(np.nanmedian(latitude)))))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(metres / step_s), good[1:-1]

@@ -35,6 +35,7 @@ READINGS = {
     "heading-of-log": "heading, as the log of the speed through the water has it",
     "magnetic-of-log": "heading from magnetic north, as the log of the speed through the water has it",
     "course": "course over ground, from fixes",
+    "ground-velocity": "speed and course over ground, from fixes",
     "field": "the magnetic field",
     "depth": "depth",
     "pressure": "pressure of the water",
