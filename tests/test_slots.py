@@ -260,6 +260,7 @@ def test_only_what_is_asked_for_is_run(monkeypatch):
         return nf.replay(vehicle, *arguments, **how)
 
     monkeypatch.setattr(campaigns, "replay", counted)
+    monkeypatch.setattr("navfilter.evaluation.baselines.replay", counted)
     monkeypatch.setattr("navfilter.evaluation.baselines.residual_series", lambda *_: pytest.fail("nothing is fitted"))
     lean = replace(SMALL, smooth=False)
     assert list(run_seed(lean, 1, ("arma", "vehicle"))) == ["arma", "vehicle"] and len(ran) == 2
