@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.evaluation.adaptive import CEILING, FLOOR, RULES, as_white
+from navfilter.evaluation.adaptive import CEILING, FLOOR, RULES, adaptive_monitor, as_white
 from navfilter.evaluation.baselines import replay_rival, rival
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -62,6 +62,22 @@ def test_a_missing_component_changes_nothing_of_its_axis(name):
         other.update(value, np.array([0.1, 0.1]))
         assert np.isfinite(rule.variance()).all()
     assert rule.variance()[0] == other.variance()[0] and rule.variance()[1] != other.variance()[1]
+
+
+def test_an_axis_that_is_silent_for_a_whole_window_keeps_what_is_described():
+    rule = RULES["iae"](np.array([1.0, 2.0]))
+    for _ in range(40):
+        rule.update(np.array([3.0, np.nan]), np.array([0.1, 0.1]))
+    np.testing.assert_allclose(rule.variance(), [8.9, 2.0])
+
+
+def test_live_with_a_history_it_is_refused():
+    """What a rule has gathered is not part of the memory that late readings go back to."""
+    vehicle, mission = simulate_scenario("lawnmower", 3, 10.0)
+    monitor = adaptive_monitor(vehicle, RULES["iae"])
+    with pytest.raises(ValueError, match="history_s=0"):
+        nf.Navigator(vehicle, mission.start, monitor=monitor)
+    assert not nf.Navigator(vehicle, mission.start, history_s=0.0, monitor=monitor).fast_paths
 
 
 def independent(name, values):

@@ -1,10 +1,10 @@
 """README and manual stay short, and what they name of the package is there."""
 
-import importlib
 import re
 from pathlib import Path
 
 import pytest
+from test_doctests import leads_somewhere
 
 from navfilter.faults.policy import REJECTED
 
@@ -32,20 +32,6 @@ def test_how_it_is_built_is_short():
     assert words(HOW) <= MOST_OF_HOW
 
 
-def resolves(name):
-    """Whether a dotted name is a module of the package, or something in one."""
-    parts = name.split(".")
-    for k in range(len(parts), 0, -1):
-        try:
-            found = importlib.import_module(".".join(parts[:k]))
-        except ImportError:
-            continue
-        for part in parts[k:]:
-            found = getattr(found, part, None)
-        return found is not None
-    return False
-
-
 def named(page):
     """Dotted names that begin with the package, in prose and in code; files such as ``navfilter.service`` of systemd
     stand behind a slash.
@@ -55,13 +41,13 @@ def named(page):
 
 @pytest.mark.parametrize("page", [README, *MANUAL], ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_names_of_the_package_resolve(page):
-    assert [name for name in sorted(named(page)) if not resolves(name)] == []
+    assert [name for name in sorted(named(page)) if not leads_somewhere(name)] == []
 
 
 def test_names_are_found():
     """A pattern that finds nothing would find nothing wrong."""
     assert len(set().union(*map(named, MANUAL))) > 20
-    assert resolves("navfilter.faults.policy.REJECTED") and not resolves("navfilter.faults.policy.NONE")
+    assert leads_somewhere("navfilter.faults.policy.REJECTED") and not leads_somewhere("navfilter.faults.policy.NONE")
 
 
 def test_files_of_the_package_that_pages_name_exist():

@@ -63,9 +63,10 @@ class InnovationAdaptive:
         """See `Rule`."""
         if len(self._window) < self._readings:
             return self._described
-        with np.errstate(invalid="ignore"):
-            mean = np.nanmean(self._window, axis=0) if self._window else self._described
-        return _bounded(np.where(np.isfinite(mean), mean, self._described), self._described)
+        window = np.array(self._window)
+        known = np.isfinite(window).sum(axis=0)
+        mean = np.nansum(window, axis=0) / np.maximum(known, 1)
+        return _bounded(np.where(known > 0, mean, self._described), self._described)
 
     def update(self, innovation: Array, predicted: Array) -> None:
         """See `Rule`."""

@@ -110,6 +110,8 @@ class Navigator(NavigatorStatus):
             raise ValueError(f"history_s must be a finite number >= 0, found {history_s!r}.")
         if length_s and tape is not None:
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed it in the order of time.")
+        if length_s and not self.filter.monitor.in_batches:
+            raise ValueError("this monitor is asked reading by reading, and cannot go back: give history_s=0.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
         self.early_rerun = EarlyRerun(self, self.learning.worker)
