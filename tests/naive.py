@@ -2022,13 +2022,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
 
 
 def fault_states(table, z, nav, x, start, north, C, near, res):
-    scaled, deviating = table[:2].astype(int)
-    for axis, state, at_m_s in table[2:][: 3 * scaled].reshape(-1, 3):
-        axis, state = int(axis), int(state)
-        C[axis, state] = np.nan_to_num(z[axis] - res[axis]) / at_m_s
-        near[axis, :9] *= 1.0 + x[start - 9 + state] / at_m_s
-    for state, of_rad in table[2 + 3 * scaled :][: 2 * deviating].reshape(-1, 2):
+    scaled, deviating, flowing = table[:3].astype(int)
+    for state, at_m_s, axes in table[3:][: 3 * scaled].reshape(-1, 3):
+        state, axes = int(state), int(axes)
+        C[:axes, state] = np.nan_to_num(z[:axes] - res[:axes]) / at_m_s
+        near[:axes, :9] *= 1.0 + x[start - 9 + state] / at_m_s
+    for state, of_rad in table[3 + 3 * scaled :][: 2 * deviating].reshape(-1, 2):
         C[north, int(state)] = np.cos(np.arctan2(nav[9], nav[6]) - of_rad)
+    for state, component, axes in table[3 + 3 * scaled + 2 * deviating :][: 3 * flowing].reshape(-1, 3).astype(int):
+        C[:axes, state] = -near[:axes, 3 + component]
     if north >= 0:
         error = C[north] @ x[start - 9 :][: C.shape[1]]
         res[north] = _half_turn(res[north] - error) + error

@@ -16,7 +16,9 @@ from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch
 from navfilter.models.fault_bias import (
     FaultBias,
+    FaultCurrent,
     FaultScale,
+    currents,
     offset_states,
     proportions,
     with_offsets,
@@ -184,22 +186,29 @@ def read(filter, channel, z, nav, x):
 
 
 def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
+    """And what moves with the bottom goes with no turn of the vehicle."""
     opened = with_offsets((nf.White(sd=0.01),) * 3, 0.1, at_m_s=2.0)
-    assert opened[0] == nf.White(sd=0.01) + FaultBias(start_sd=0.1) + FaultScale(start_sd=0.1, at_m_s=2.0)
-    (axis, state), at_m_s = proportions(opened, 0.25)
-    assert axis.tolist() == [0, 1, 2] and state.tolist() == [1, 3, 5] and at_m_s.tolist() == [2.0] * 3
+    assert opened[1] == nf.White(sd=0.01) + FaultBias(start_sd=0.1)
+    assert opened[0] == opened[1] + FaultScale(start_sd=0.1, at_m_s=2.0) + FaultCurrent(start_sd=0.1) + FaultCurrent(
+        start_sd=0.1, component=1
+    )
+    assert proportions(opened, 0.25) == [(1, 2.0)] and currents(opened, 0.25) == [(2, 0), (3, 1)]
     vehicle, mission = dive()
-    filter = nf.Navigator(vehicle.with_error(dvl=opened[0]), mission.start).filter
+    filter = nf.Navigator(vehicle.with_error(dvl=opened), mission.start).filter
     channel = filter.channels["dvl"]
-    x = np.zeros(channel.group.start - 9 + channel.group.size)
-    x[channel.group.start - 9 + state] = [0.1, 0.0, 0.0]
+    at = channel.group.start - 9
+    x = np.zeros(at + channel.group.size)
+    x[at + 1] = 0.1
     channel.near[:], channel.res[:] = 1.0, 0.0
+    channel.near[:, 3:6] = about_z = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     read(filter, channel, [1.0, 0.5, 0.0], mission.start.state.pack(), x)
     # 5 % at any speed: half of 0.1 m/s at 1 m/s
-    np.testing.assert_allclose(channel.C @ x[channel.group.start - 9 :][:6], [0.05, 0.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(channel.near[:, 3], [1.05, 1.0, 1.0], atol=1e-15)
+    np.testing.assert_allclose(channel.C @ x[at:], [0.05, 0.025, 0.0], atol=1e-15)
+    np.testing.assert_allclose(channel.near[:, 3:6], 1.05 * about_z, atol=1e-15)
+    # a bottom that goes north is read the other way, in the axes of the instrument
+    np.testing.assert_allclose(channel.C[:, 2:4], -1.05 * about_z[:, :2], atol=1e-15)
     read(filter, channel, [0.0, 0.0, 0.0], mission.start.state.pack(), x)
-    assert not (channel.C @ x[channel.group.start - 9 :][:6]).any()
+    assert not (channel.C @ x[at:]).any()
 
 
 @pytest.mark.parametrize("window", [(70.0, 110.0), (DIVE_S - 25.0, DIVE_S + 1.0)])

@@ -89,7 +89,7 @@ def undecided(filter: FilterState, channel: Channel, time_s: float) -> bool:
         whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
         if not whole**2 > settings.DEPTH_GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
-    return channel.memory.used_s - channel.faults.agreed_s >= settings.CONFIRMED_S and are_told(filter, channel, time_s)
+    return channel.faults.confirmed(channel.memory.used_s) and are_told(filter, channel, time_s)
 
 
 def open_both(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:

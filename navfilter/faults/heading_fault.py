@@ -21,7 +21,7 @@ from navfilter.filter.actions import Action, Transform, TurnHeading
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.models.fault_bias import with_offsets
+from navfilter.models.fault_bias import SCALE, with_offsets
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import rotation_matrix
 
@@ -176,10 +176,10 @@ def seen_turned(
     if (
         sd > settings.KNOWN_RAD
         or abs(angle) < settings.SURE * chance
-        or abs(ratio - 1.0) > settings.SURE * faster + settings.SCALE
+        or abs(ratio - 1.0) > settings.SURE * faster + SCALE
     ):
         return None
-    speed, noise = max(0.0, abs(ratio - 1.0) - settings.SCALE) / faster, noise + share * size
+    speed, noise = max(0.0, abs(ratio - 1.0) - SCALE) / faster, noise + share * size
     if beside_turned > settings.FITS**2 * noise or (
         believed(angle, speed) and beside_drawn < settings.MISSES**2 * noise
     ):

@@ -147,8 +147,9 @@ class Widening(NamedTuple):
 
 
 def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) -> Widening | None:
-    """After a long series of rejections the gate doubles, and again: what that adds when it lets the reading in, else
-    None.
+    """After a long series of rejections the gate doubles, and again; a velocity that has not confirmed the state yet is
+    not kept waiting, for start and description may as well be wrong, and a state that nothing holds runs away. What
+    that adds when it lets the reading in, else None.
 
     Parameters
     ----------
@@ -171,7 +172,9 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (settings.PATIENT if channel.faults.astray else 1.0)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
-    if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
+    if not (channel.moves and not channel.faults.confirmed(channel.memory.used_s)) and (
+        periods < 1 or nis > limit * 2.0 ** min(periods, 500)
+    ):
         return None
     a, H = channel.axes, channel.H
     seen = channel.PH @ H.T

@@ -101,6 +101,10 @@ class SensorFaults:
         """Whether it is used, and was before: then another that is used says nothing new."""
         return math.isnan(self.rejected_since_s) and not math.isnan(self.agreed_s)
 
+    def confirmed(self, used_s: float) -> bool:
+        """Whether it had agreed with the state for long when it was used last, at this time [s]."""
+        return used_s - self.agreed_s >= settings.CONFIRMED_S
+
     @property
     def undisputed(self) -> bool:
         """Whether it was right for long, until it was refused last."""

@@ -211,6 +211,7 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
         return False
     channel.R *= added.white_factor
     yield Inflate(added.places, added.places, added.covariance)
+    channel.faults.agreed_s = math.nan  # it is the state that was wrong: what it agrees with next is another
     _follows(channel, time_s)
     yield from alternative_path.followed(filter, channel)
     yield from _readmit(filter, channel, time_s)

@@ -99,7 +99,7 @@ def add_rejection(
     before = memory.refused
     if before is None:
         near = time_s - channel.memory.used_s <= max(settings.BEFORE_S, 3.0 * channel.period_s)
-        confirmed = near and channel.memory.used_s - memory.agreed_s >= settings.CONFIRMED_S
+        confirmed = near and memory.confirmed(channel.memory.used_s)
         # an error that grows reaches the gate just so, now and then; one that jumps is beyond it at once
         now_and_then = time_s - memory.refused_s <= settings.BEFORE_S and memory.undisputed
         at_once = not now_and_then and channel.verdict[0] > settings.AT_ONCE * channel.limits[int(channel.verdict[1])]
@@ -231,7 +231,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
         return None if fixes or disproved(channel, refused.began_s) else "sensor"
     if kind in PLACE and math.hypot(*np.nan_to_num(refused.offset)) > settings.REACH_M:
         return None
-    unconfirmed = not channel.memory.used_s - memory.agreed_s >= settings.CONFIRMED_S
+    unconfirmed = not memory.confirmed(channel.memory.used_s)
     # after a dive fixes beat what was reckoned meanwhile
     return "state" if unconfirmed or (fixes and not refused.confirmed) else None
 

@@ -70,9 +70,6 @@ DEPTH_GROWN = 2.0
 #: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
 #: the speed, is then less than a velocity sensor errs by). (derived)
 SURE, KNOWN_RAD = 5.0, 0.07
-#: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
-#: (derived)
-SCALE = 0.05
 #: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the
 #: first they have made it, beyond the second not. (chosen)
 FITS, MISSES = 2.0, 4.0

@@ -14,7 +14,7 @@ from navfilter.filter.state_layout import Group
 from navfilter.kernels import delayed_state
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
-from navfilter.models.fault_bias import deviations, has_offset, offset_states, proportions
+from navfilter.models.fault_bias import currents, deviations, has_offset, offset_states, proportions
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
@@ -98,11 +98,12 @@ class ChannelModel(NamedTuple):
         lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         facts = np.zeros(0) if sight is None else sight
-        axes_states, at_m_s = proportions(sensor.models, period_s)
         deviating, of_rad = deviations(sensor.models, period_s)
-        faults = np.concatenate(
-            [[len(at_m_s), len(of_rad)], *zip(*axes_states, at_m_s, strict=True), *zip(deviating, of_rad, strict=True)]
-        )
+        axes = sensor.ground or sensor.axes  # over ground
+        scaled = [(*one, axes) for one in proportions(sensor.models, period_s)]
+        flowing = [(*one, axes) for one in currents(sensor.models, period_s)]
+        each = *scaled, *zip(deviating, of_rad, strict=True), *flowing
+        faults = np.concatenate([[len(scaled), len(of_rad), len(flowing)], *each])
         parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts, faults
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),

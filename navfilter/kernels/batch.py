@@ -181,24 +181,31 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
 @apart
 @njit(cache=True, **UNCOUNTED)
 def fault_states(table, z, nav, x, start, north, C, near, res):
-    """Let errors in proportion to the speed, and those that go with the heading, be those of a reading as foretold.
+    """Let errors in proportion to the speed, those that go with the heading, and the motion of what a velocity is read
+    against be those of a reading as foretold.
 
-    table: how many of each there are; then, of each error in proportion, its axis, its state and the speed at which
-    it is the error; and of each deviation its state and the heading at which it is the error. The residual of a
-    heading comes within half a turn of its error.
+    table: how many of each there are; then, of each error in proportion, its state, the speed at which it is the
+    error, and of how many axes; of each deviation its state and the heading at which it is the error; and of each motion its state,
+    its component in n, and how many axes read it. The residual of a heading comes within half a turn of its error.
     """
-    scaled, deviating = int(table[0]), int(table[1])
+    scaled, deviating, flowing = int(table[0]), int(table[1]), int(table[2])
     for j in range(scaled):
-        axis, state, at_m_s = int(table[2 + 3 * j]), int(table[3 + 3 * j]), table[4 + 3 * j]
-        predicted = z[axis] - res[axis]
-        C[axis, state] = 0.0 if math.isnan(predicted) else predicted / at_m_s
+        state, at_m_s = int(table[3 + 3 * j]), table[4 + 3 * j]
         factor = 1.0 + x[start - 9 + state] / at_m_s
-        for i in range(9):
-            near[axis, i] *= factor
+        for axis in range(int(table[5 + 3 * j])):
+            predicted = z[axis] - res[axis]
+            C[axis, state] = 0.0 if math.isnan(predicted) else predicted / at_m_s
+            for i in range(9):
+                near[axis, i] *= factor
     for j in range(deviating):
         # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
-        state, of_rad = int(table[2 + 3 * scaled + 2 * j]), table[3 + 3 * scaled + 2 * j]
+        state, of_rad = int(table[3 + 3 * scaled + 2 * j]), table[4 + 3 * scaled + 2 * j]
         C[north, state] = math.cos(math.atan2(nav[9], nav[6]) - of_rad)
+    for j in range(flowing):
+        at = 3 + 3 * scaled + 2 * deviating + 3 * j
+        state, component = int(table[at]), int(table[at + 1])
+        for i in range(int(table[at + 2])):
+            C[i, state] = -near[i, 3 + component]
     if north >= 0:
         error = 0.0
         for j in range(C.shape[1]):

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, per_axis
 
 __all__ = [
+    "SCALE",
     "FaultBias",
+    "FaultCurrent",
     "FaultDeviation",
     "FaultScale",
+    "currents",
     "described",
     "deviations",
     "has_offset",
@@ -28,6 +31,9 @@ __all__ = [
 Errors = ErrorModel | tuple[ErrorModel, ...]
 #: Iron turns a compass by no more than this [rad]: one that is off by more is mounted, or read, the wrong way round.
 DEVIATES = math.radians(60.0)
+#: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
+#: (derived)
+SCALE = 0.05
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,8 @@ class FaultBias(RandomWalk):
 
 @dataclass(frozen=True)
 class FaultScale(FaultBias):
-    """What a velocity sensor was found to be off by, as far as that is in proportion to the speed: a scale that has
-    jumped looks like a constant until the vehicle changes its speed.
+    """What a velocity sensor was found to be off by, as far as that is in proportion to the velocity: a scale of all
+    axes that has jumped (another speed of sound) looks like a constant until the vehicle changes its speed.
 
     Parameters
     ----------
@@ -73,6 +79,20 @@ class FaultDeviation(FaultBias):
     """
 
     of_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class FaultCurrent(FaultBias):
+    """What a velocity sensor was found to be off by, as far as that is a velocity in n of what it reads against: one
+    that has lost the bottom sees the water, and fish, a plume or ice move, too. It goes with no turn of the vehicle.
+
+    Parameters
+    ----------
+    component : int
+        0: north, 1: east.
+    """
+
+    component: int = 0
 
 
 def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
@@ -104,11 +124,9 @@ def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | N
     return np.array([at for axis, at in found if only in (None, axis)], dtype=np.int64)
 
 
-def proportions(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Axes and states of each `FaultScale`, shape (2, k), and the speed at which it is the error [m/s], shape (k,)."""
-    found = [(axis, at, part.at_m_s) for axis, at, part in _places(models, period_s) if isinstance(part, FaultScale)]
-    table = np.array(found, dtype=np.float64).reshape(-1, 3)
-    return table[:, :2].T.astype(np.int64), table[:, 2]
+def proportions(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, float]]:
+    """State of each `FaultScale`, and the speed at which it is the error [m/s]."""
+    return [(at, part.at_m_s) for _, at, part in _places(models, period_s) if isinstance(part, FaultScale)]
 
 
 def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -116,6 +134,11 @@ def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray
     found = [(at, part.of_rad) for _, at, part in _places(models, period_s) if isinstance(part, FaultDeviation)]
     table = np.array(found, dtype=np.float64).reshape(-1, 2)
     return table[:, 0].astype(np.int64), table[:, 1]
+
+
+def currents(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, int]]:
+    """State and component of each `FaultCurrent`."""
+    return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultCurrent)]
 
 
 def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[int, int, ErrorModel]]:
@@ -136,8 +159,9 @@ def with_offsets(
     deviates: bool = False,
 ) -> tuple[ErrorModel, ...]:
     """Error models with an `FaultBias` of this standard deviation each, or of one axis only, which wanders with a
-    density, and beside it a `FaultScale` at a speed, or a `FaultDeviation` with the heading (two, where iron may do
-    that); without any where the size is 0.
+    density, and beside it what else the sensor may have: at a speed a `FaultScale`, and a `FaultCurrent` north and
+    east; a `FaultDeviation` with the heading (two, where iron may do that). Without any where the size is 0. So
+    explanations that cannot be told from each other yet are all carried, as states.
 
     Examples
     --------
@@ -149,10 +173,16 @@ def with_offsets(
     if not size:
         return plain
     added: tuple[FaultBias, ...] = (FaultBias(density=density, start_sd=size),)
-    added += (FaultScale(start_sd=size, at_m_s=at_m_s),) if at_m_s else ()
     if deviates and size <= DEVIATES:
         added += tuple(FaultDeviation(start_sd=size, of_rad=of_rad) for of_rad in (0.0, 0.5 * math.pi))
-    return tuple(sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain))
+    opened = [sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain)]
+    if at_m_s:
+        of_all = (
+            FaultScale(start_sd=min(size, SCALE * at_m_s), at_m_s=at_m_s),
+            *(FaultCurrent(start_sd=size, component=i) for i in range(2)),
+        )
+        opened[0] = sum(of_all, start=opened[0])
+    return tuple(opened)
 
 
 def described(

@@ -146,7 +146,7 @@ def _off(channel: Channel, watch: SensorMonitor, now_s: float) -> float:
         return 0.0
     note = channel.note.tolist()
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
-    confirmed = channel.memory.used_s - kept.agreed_s >= settings.CONFIRMED_S
+    confirmed = kept.confirmed(channel.memory.used_s)
     again = channel.memory.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     alone = kept.alone[0] if kept.alone else 0.0
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):

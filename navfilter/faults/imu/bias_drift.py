@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 
 from navfilter.faults import settings
 from navfilter.faults.settings import UNDISPUTED_S
-from navfilter.filter.actions import Action, Count, Inflate
+from navfilter.filter.actions import Action, Adopt, Count, Inflate
 from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Group
@@ -48,6 +49,7 @@ from navfilter.kernels.bias_drift import (
     VARIANCE,
     largest_change,
 )
+from navfilter.models.fault_bias import with_offsets
 
 __all__ = ["check_biases", "due_s", "fresh", "gyros", "looking", "shifted"]
 
@@ -106,7 +108,10 @@ def check_biases(filter: FilterState) -> Iterator[Action]:
         if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)
     ]
     for axis, row, size in found:
-        yield from _open(memory, int(places[axis]), axis, size, kept[row:])
+        place, moved = int(places[axis]), now[BIAS + axis] - kept[row, BIAS + axis]
+        yield from _open(memory, place, axis, size, kept[row:])
+        if compass is not None and upright[axis] and not compass.offset:
+            yield from _suspect_compass(filter, compass, place, axis, size, moved, kept[row:])
         yield Count("shifted")
     if found:
         kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
@@ -201,22 +206,58 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     return found
 
 
+def _suspect_compass(
+    filter: FilterState, compass: Channel, place: int, axis: int, size: float, moved: float, looks: Array
+) -> Iterator[Action]:
+    """Give a compass the constant that explains a shift of a gyro's bias as well: then the gyro has not shifted, and
+    the heading has followed the compass. It wanders on as it has.
+
+    Both explanations are carried as states. What tells them apart is that a vehicle whose heading turns is accelerated
+    across its way.
+    """
+    north, error = compass.sensor.observes.north, compass.sensor.models
+    turned, since_s = _turned(filter.memory, axis, size, looks)
+    off = float(turned[8])
+    yield Adopt(
+        Change(
+            compass.name,
+            with_offsets(error, settings.FLOOR * abs(off), density=abs(off) / math.sqrt(since_s), only=north),
+            offsets=True,
+        )
+    )
+    done = np.zeros(len(filter.memory.P))
+    done[:9], done[place], done[compass.group.start + compass.offsets] = -turned, -moved, off
+    yield Inflate(slice(None), slice(None), np.outer(done, done))
+
+
+def _turned(memory: FilterMemory, axis: int, size: float, looks: Array) -> tuple[Array, float]:
+    """What a bias that is off by so much since the first of some looks has done to position, velocity and attitude,
+    shape (9,), and how long ago that is [s]: the heading has turned ever further, and with it the velocity and the way
+    made.
+    """
+    nav = memory.nav
+    since_s = np.append(looks[:, TIME_S], memory.time_s) - looks[0, TIME_S]
+    heading = -nav[6:15].reshape(3, 3)[2, axis] * size * since_s
+    done = np.zeros(9)
+    north = np.diff(np.append(looks[:, LATITUDE], nav[0])) * nav[15]
+    east = np.diff(np.append(looks[:, LONGITUDE], nav[1])) * nav[16] * math.cos(nav[0])
+    between = 0.5 * (heading[1:] + heading[:-1])
+    done[:2] = -float(between @ east), float(between @ north)
+    done[3:5] = heading[-1] * np.array([-nav[4], nav[3]])
+    done[8] = heading[-1]
+    return done, float(since_s[-1])
+
+
 def _open(memory: FilterMemory, place: int, axis: int, size: float, looks: Array) -> Iterator[Action]:
     """Open a bias by a shift of this size since the first of these looks, and what that has done to the state: the
     heading has turned ever further from then on, and with it the velocity and the way made; what a slow error has taken
     of it goes with the heading, too. What it tilts is resisted.
     """
-    P, nav = memory.P, memory.nav
-    since_s = np.append(looks[:, TIME_S], memory.time_s) - looks[0, TIME_S]
-    rate = -nav[6:15].reshape(3, 3)[:, axis] * size
-    heading = rate[2] * since_s
-    done = P[8] * (heading[-1] / P[8, 8])
-    north = np.diff(np.append(looks[:, LATITUDE], nav[0])) * nav[15]
-    east = np.diff(np.append(looks[:, LONGITUDE], nav[1])) * nav[16] * math.cos(nav[0])
-    between = 0.5 * (heading[1:] + heading[:-1])
-    done[:3] = -float(between @ east), float(between @ north), 0.0
-    done[3:5] = heading[-1] * np.array([-nav[4], nav[3]])
-    done[place] = 0.0
+    P = memory.P
+    turned, since_s = _turned(memory, axis, size, looks)
+    rate = -memory.nav[6:15].reshape(3, 3)[:, axis] * size
+    done = P[8] * (turned[8] / P[8, 8])
+    done[:6], done[place] = turned[:6], 0.0
     yield Inflate(slice(None), slice(None), np.outer(done, done))
     yield Inflate(place, place, size**2)
-    yield Inflate(range(6, 8), range(6, 8), (rate[:2] * min(since_s[-1], settings.TILT_S)) ** 2)
+    yield Inflate(range(6, 8), range(6, 8), (rate[:2] * min(since_s, settings.TILT_S)) ** 2)
