@@ -185,8 +185,9 @@ def fault_states(table, z, nav, x, start, north, C, near, res):
     against be those of a reading as foretold.
 
     table: how many of each there are; then, of each error in proportion, its state, the speed at which it is the
-    error, and of how many axes; of each deviation its state and the heading at which it is the error; and of each motion its state,
-    its component in n, and how many axes read it. The residual of a heading comes within half a turn of its error.
+    error, and of how many axes; of each deviation its state and the heading at which it is the error; and of each
+    motion its state, its component in n, and how many axes read it. The residual of a heading comes within half a turn
+    of its error.
     """
     scaled, deviating, flowing = int(table[0]), int(table[1]), int(table[2])
     for j in range(scaled):
