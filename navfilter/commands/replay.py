@@ -94,6 +94,7 @@ examples:
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit dvl.scale=0.1%
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --control gates.csv    against surveyed places
+  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --backward    against an independent run
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
 """,
@@ -198,6 +199,11 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare the track with surveyed places, which the filter does not get: a table with the columns name, "
         "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
     )
+    parser.add_argument(
+        "--backward",
+        action="store_true",
+        help="run the mission from its end to its beginning too, independently, and hold both runs against each other",
+    )
     mission_part.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
@@ -256,7 +262,16 @@ def replay_one(options: argparse.Namespace) -> int:
     how = {"output_rate_hz": options.output_rate}
     how |= {"passes": options.passes} if options.passes != 1 else {"smooth": options.smooth}
     track = _replayed(vehicle, mission, options.quiet, **how)
-    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits, control)
+    back = _backward(vehicle, mission, track, options) if options.backward else None
+    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits, control, back)
+
+
+def _backward(vehicle: Any, mission: Mission, track: Track, options: argparse.Namespace) -> Track:
+    """The same mission from its end to its beginning."""
+    from navfilter.playback.backward import backward
+
+    speaker(options.quiet)("replaying it backward ...")
+    return backward(vehicle, mission, track, output_rate_hz=options.output_rate)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -295,13 +310,14 @@ def _write(
     drawn: bool = True,
     limits: Sequence[tuple[str, float, str]] = (),
     control: Sequence[ControlPoint] = (),
+    back: Track | None = None,
 ) -> int:
     """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
     tracks = labelled(track)
-    assessment = assess(tracks, mission, withheld, limits, control)
+    assessment = assess(tracks, mission, withheld, limits, control, back)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
     report = folder / "report.html"

@@ -133,6 +133,9 @@ def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessm
     result = list(tracks.values())[-1]
     if result.forward is not None:
         yield Section("Separation", (drawn(figures.separation_figure(result.forward, result), figures.SEPARATION),))
+    if assessment.apart is not None:
+        shown = drawn(figures.backward_figure(assessment.apart), figures.BACKWARD)
+        yield Section("Forward and backward", (f"<p>{escape(str(assessment.apart))}.</p>", shown))
     yield from _trusted(tracks, truth, instrument)
     yield from _lanes(list(tracks.values())[-1], instrument)
     nees = None if truth is None else figures.consistency_figure(tracks, truth)
