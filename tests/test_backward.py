@@ -96,7 +96,7 @@ def test_the_mirror_twice_is_no_mirror(kind, tmp_path):
     columns = vehicle.sensors["x"].stream_columns()
     rows = np.random.default_rng(1).normal(size=(5, len(columns)))
     mission = Mission("m", {"x": Stream(np.arange(5.0), rows, columns)}, date=datetime.date(2026, 6, 1))
-    vehicle2, mission2 = simulate_scenario("lawnmower", 1, 60.0)
+    _, mission2 = simulate_scenario("lawnmower", 1, 60.0)
     start = mission2.start
     once = mirrored(vehicle, mission, start)
     again = mirrored(*once, start)

@@ -211,7 +211,9 @@ def test_a_drift_that_lasts_too_long_makes_a_doubt(long_dive):
         "withheld" in f.text for f in assess(labelled(replay(vehicle, mission)), mission, (readings,)).verdict.findings
     )
     stream = mission.streams["velocity"]
-    leaning = mission.with_stream("velocity", dataclasses.replace(stream, value=stream.value + [0.0, 0.25, 0.0]))
+    leaning = mission.with_stream(
+        "velocity", dataclasses.replace(stream, value=stream.value + np.array([0.0, 0.25, 0.0]))
+    )
     found = drift(vehicle, leaning, readings)
     assert found.chance < 1e-6 and found.lasting > 5.0
     verdict = assess(labelled(replay(vehicle, leaning)), leaning, (readings,)).verdict

@@ -249,9 +249,10 @@ def replay_one(options: argparse.Namespace) -> int:
     from navfilter.calibration.parts import constants_of
     from navfilter.evaluation.control_points import read_control_points
     from navfilter.io import read_vehicle
+    from navfilter.playback.instructions import instructed
 
-    vehicle = read_vehicle(options.vehicle).without(*options.without)
-    mission, withheld = mission_part.select(options, read(options), vehicle)
+    vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), read(options))
+    mission, withheld = mission_part.select(options, mission, vehicle)
     formats.check(options, mission)
     if limits := limits_of(options):  # a mistake in them shall not cost a replay
         check_limits(limits, constants_of(vehicle))

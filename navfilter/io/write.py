@@ -18,6 +18,7 @@ from navfilter.io.learned_toml import write_learned
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.tracks.formats import FORMATS, write_track
 from navfilter.io.tracks.tum import write_truth
+from navfilter.models.during import is_alias
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
@@ -104,7 +105,9 @@ def learned_vehicle(track: Track) -> Vehicle | None:
             key = f"{unit}.{name}" if unit in track.vehicle.imus else name
             if unit != DEAD_RECKONING:
                 last[key] = models[0] if len(models) == 1 else models
-    return track.vehicle.with_error(**last) if last else None
+    last = {name: models for name, models in last.items() if not is_alias(name)}
+    known = track.vehicle.without(*(name for name in track.vehicle.sensors if is_alias(name)))
+    return known.with_error(**last) if last else None
 
 
 def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
