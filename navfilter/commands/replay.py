@@ -321,6 +321,7 @@ def _write(
     assessment = assess(tracks, mission, withheld, limits, control, back)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
+    written += formats.write_own_formats(options, list(tracks.values())[-1], folder)
     report = folder / "report.html"
     if drawn:
         _write_report(tracks, mission, report, assessment, not options.quiet and sys.stderr.isatty())

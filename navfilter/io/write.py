@@ -28,6 +28,12 @@ from navfilter.track.trust import integrity_figures
 __all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
 
 
+#: Version of the layout of summary.json: it rises where a key changes its meaning or goes, not where one is new.
+SCHEMA = 1
+#: Where ``summary.schema.json`` stands.
+ROOM = Path(__file__).parent
+
+
 def labelled(track: Track) -> dict[str, Track]:
     """The runs inside a track by label: ``{"forward": ..}``, or ``{"forward": .., "smoothed": ..}``."""
     runs = {} if track.forward is None else {track.forward.label: track.forward}
@@ -163,9 +169,9 @@ def write_summary(
     tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
 ) -> Path:
     """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes
-    null.
+    null. Its first key says by which version of ``summary.schema.json`` of this folder it is laid out.
     """
-    return write_json({**summarise(tracks, mission), **(more or {})}, path)
+    return write_json({"schema": SCHEMA, **summarise(tracks, mission), **(more or {})}, path)
 
 
 def write_json(value: Any, path: str | os.PathLike[str]) -> Path:
