@@ -200,6 +200,18 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
     )
     parser.add_argument(
+        "--beside",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="show the track of another run in the report, too: the folder of its track.csv; may be repeated",
+    )
+    parser.add_argument(
+        "--tiles",
+        metavar="PATH",
+        help="a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)",
+    )
+    parser.add_argument(
         "--backward",
         action="store_true",
         help="run the mission from its end to its beginning too, independently, and hold both runs against each other",
@@ -257,6 +269,10 @@ def replay_one(options: argparse.Namespace) -> int:
     if limits := limits_of(options):  # a mistake in them shall not cost a replay
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
+    if options.tiles:
+        from navfilter.report.chart import check_tiles
+
+        check_tiles(Path(options.tiles))
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
@@ -324,7 +340,12 @@ def _write(
     written += formats.write_own_formats(options, list(tracks.values())[-1], folder)
     report = folder / "report.html"
     if drawn:
-        _write_report(tracks, mission, report, assessment, not options.quiet and sys.stderr.isatty())
+        from navfilter.io.tracks.reading import read_track
+
+        others = [read_track(path, result_of(tracks).vehicle) for path in getattr(options, "beside", ())]
+        beside = {_unlike(other.label, tracks): other for other in others}
+        bars = not options.quiet and sys.stderr.isatty()
+        _write_report(tracks, mission, report, assessment, bars, beside, getattr(options, "tiles", None))
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
@@ -339,13 +360,31 @@ def _write(
     return NOT_TRUSTED if verdict.wrong else NOT_JUDGED
 
 
-def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assessment: Assessment, bars: bool) -> None:
+def result_of(tracks: dict[str, Track]) -> Track:
+    """The last one."""
+    return list(tracks.values())[-1]
+
+
+def _unlike(label: str, tracks: dict[str, Track]) -> str:
+    """A label that no run of this replay has."""
+    return f"{label} (beside)" if label in tracks or label == "truth" else label
+
+
+def _write_report(
+    tracks: dict[str, Track],
+    mission: Mission,
+    path: Path,
+    assessment: Assessment,
+    bars: bool,
+    beside: dict[str, Track],
+    tiles: str | None,
+) -> None:
     from tqdm import tqdm
 
     from navfilter.report.report import write_report
 
     with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
-        write_report(tracks, mission, path, bar.update, assessment)
+        write_report(tracks, mission, path, bar.update, assessment, beside, tiles)
 
 
 def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:

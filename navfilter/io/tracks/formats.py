@@ -113,8 +113,8 @@ def write_track(track: Track, path: str | os.PathLike[str], mission: Mission | N
     ----------
     track : Track
     path : path-like
-        One of .csv, .tum, .geojson, .kml, .kmz, .gpx, .gpkg, .shp, .mcap, .rosbag (a folder), .sbet, .mat, .nc. What is there is
-        replaced, whole.
+        One of .csv, .tum, .geojson, .kml, .kmz, .gpx, .gpkg, .shp, .mcap, .rosbag (a folder), .sbet, .mat, .nc. What is
+        there is replaced, whole.
     mission : Mission, optional
         Puts truth and fixes beside the track in a .geojson.
 
