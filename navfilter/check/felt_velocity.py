@@ -27,14 +27,15 @@ BY_S, BY_RATE = 0.1, 2e-4
 
 
 class _Unit(NamedTuple):
-    """What the gyros and accelerometers say: times, attitude against the beginning as quaternions, rates, and the
-    integral of the specific force in that frame.
+    """What the gyros and accelerometers say: times, attitude against the beginning as quaternions, rates, the integral
+    of the specific force in that frame, and what a bias of each axis adds to that, gyros and accelerometers, (6, n, 3).
     """
 
     time_s: Array
     turned: Array
     rate: Array
     gained: Array
+    biased: Array
 
 
 def felt_clock(imu: Stream, time_s: Array, velocity: Array, arm_m: Array) -> ClockFit | None:
@@ -54,7 +55,7 @@ def felt_clock(imu: Stream, time_s: Array, velocity: Array, arm_m: Array) -> Clo
     -----
     With C the attitude by the gyros, C v - int C f dt is a straight line in time but for what tilts, biases and the
     Earth's rotation bend: its second differences over windows are small and steady, if v has the clock of the unit.
-    Delay and rate are what makes them least, beside a scale and a mounting of the velocity (Gauss-Newton).
+    Delay and rate are what makes them least, beside scale and mounting of the velocity and biases (Gauss-Newton).
     """
     unit = _carried(imu)
     inside = (time_s > unit.time_s[0] + LEAST_S) & (time_s < unit.time_s[-1] - LEAST_S)
@@ -82,7 +83,11 @@ def _carried(imu: Stream) -> _Unit:
     time_s, rate, force = (np.nan_to_num(part).reshape(-1, step, *part.shape[1:]).mean(axis=1) for part in blocks)
     turns = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s)[:, np.newaxis]).as_quat()
     turned = _products(np.vstack([[0.0, 0.0, 0.0, 1.0], turns]))
-    return _Unit(time_s, turned, rate, integral(time_s, Rotation.from_quat(turned).apply(force)))
+    attitude = Rotation.from_quat(turned)
+    felt, axes = attitude.apply(force), attitude.as_matrix()
+    swept = [integral(time_s, axes[:, :, i]) for i in range(3)]
+    biased = np.array([*(integral(time_s, np.cross(part, felt)) for part in swept), *swept])
+    return _Unit(time_s, turned, rate, integral(time_s, felt), biased)
 
 
 def _products(turns: Array) -> Array:
@@ -128,32 +133,39 @@ def _fit(
         attitude, v, gained = at_true(late_s, rate)
         return bent(attitude.apply(v) - gained)
 
+    def nuisances(late_s: float, rate: float) -> Array:
+        """A scale and a turn of the velocity, what the Earth's rotation bends, and biases, as columns."""
+        attitude, v, _ = at_true(late_s, rate)
+        true_s = time_s - late_s - rate * (time_s - middle)
+        parts = [bent(attitude.apply(v)), bent(attitude.apply(np.cross([0.0, 0.0, 1.0], v)))]
+        parts += [np.tile(axis, (edges.size, 1)) for axis in np.eye(3)]
+        for series in unit.biased:
+            parts.append(bent(np.column_stack([np.interp(true_s, unit.time_s, column) for column in series.T])))
+        return np.column_stack([part.ravel() for part in parts])
+
     grid = [(float(s), float(r)) for s in np.linspace(-LEAST_S, LEAST_S, 11) for r in np.linspace(-RATE, RATE, 9)]
     begin = begin or min(grid, key=lambda one: _power(left(*one)))
     late_s, rate = begin
     spread = np.full(2, np.inf)
     for _ in range(3):
-        here = left(late_s, rate)
-        attitude, v, _gained = at_true(late_s, rate)
+        here, beside = left(late_s, rate), nuisances(late_s, rate)
         slopes = [(left(late_s + BY_S, rate) - left(late_s - BY_S, rate)) / (2.0 * BY_S)]
         slopes += [(left(late_s, rate + BY_RATE) - left(late_s, rate - BY_RATE)) / (2.0 * BY_RATE)]
-        scaled = [bent(attitude.apply(v)), bent(attitude.apply(np.cross([0.0, 0.0, 1.0], v)))]
-        steady = [np.tile(axis, (len(here), 1)) for axis in np.eye(3)]
-        columns = np.column_stack([part.ravel() for part in (*slopes, *scaled, *steady)])
+        columns = np.column_stack([*(part.ravel() for part in slopes), beside])
         best, sds = factors(columns, -here.ravel())
         late_s, rate, spread = late_s + float(best[0]), rate + float(best[1]), sds[:2]
         if abs(late_s) > LEAST_S or abs(rate) > 2.0 * RATE:
             return begin, None
+    power = _power(nuisances(late_s, rate)[:, 0])
 
     def unexplained(late_s: float, rate: float) -> float:
-        here = left(late_s, rate)
-        return _power(here - here.mean(axis=0)) / power
+        here, beside = left(late_s, rate).ravel(), nuisances(late_s, rate)
+        return _power(here - beside @ np.linalg.lstsq(beside, here, rcond=None)[0]) / power
 
-    power = _power(scaled[0])
     delays = late_s + np.linspace(-0.5, 0.5, 9) * abs(rate) * (time_s[-1] - time_s[0])
-    fit = ClockFit(late_s, float(spread[0]), rate, float(spread[1]), unexplained(late_s, rate), 0.0)
     without = min(unexplained(float(s), 0.0) for s in delays)
-    return begin, fit._replace(left_without=without) if fit.left < LOOSE else None
+    fit = ClockFit(late_s, float(spread[0]), rate, float(spread[1]), unexplained(late_s, rate), without)
+    return begin, fit if fit.left < LOOSE else None
 
 
 def _power(series: Array) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from navfilter.check.clock_offsets import (
     DRIFT_S,
+    ClockFit,
     fitted_clock,
     noisy_stretch_finding,
     stretched_finding,
@@ -25,7 +26,7 @@ from navfilter.models.mission import Array, Mission, Stream
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["axes_findings", "clock_finding", "pair_findings", "speeding_up_findings"]
+__all__ = ["axes_findings", "clock_finding", "felt_clocks", "is_right", "pair_findings", "speeding_up_findings"]
 
 #: Clocks are compared over windows of this length, speeds over longer ones [s].
 TURN_S, WAY_S = 2.0, 4.0
@@ -41,6 +42,8 @@ WINDOW_S, ALIKE = 1.0, 0.45
 MIRRORED = 1.5
 #: So far off are axes that are turned [rad].
 TURNED = math.radians(25.0)
+#: A clock is right that surely, by so many sds, runs by less than this too fast or too slow [1].
+RIGHT_SDS, RIGHT = 3.0, 1e-3
 #: Of gravity [m/s^2].
 GRAVITY = 9.81
 #: Quarter turns about the down axis -> how the axes have to be read.
@@ -113,8 +116,11 @@ def _speed(stream: Stream) -> Array | None:
     return None
 
 
-def speeding_up_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
-    """Velocities whose stamps are stretched: speeding up, slowing down and turning are felt on another clock."""
+def felt_clocks(mission: Mission, vehicle: Vehicle | None) -> dict[str, tuple[str, ClockFit]]:
+    """By velocity the inertial unit that it is held against, and how its stamps lie: speeding up, slowing down and
+    turning are felt on another clock.
+    """
+    found: dict[str, tuple[str, ClockFit]] = {}
     units = [(n, s) for n, s in mission.streams.items() if "force_x_m_s2" in s.columns]
     for name, stream in mission.streams.items():
         for unit, imu in units if "v_x_m_s" in stream.columns else ():
@@ -123,11 +129,21 @@ def speeding_up_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[
             known = np.asarray(np.isfinite(v).all(axis=1))
             known[1:] &= np.diff(stream.time_s) > 0.0
             fit = felt_clock(imu, stream.time_s[known], v[known], np.array([arm_m.real, arm_m.imag, 0.0]))
-            what = f"the velocity is {{}} against the accelerations of {unit}"
-            found = [*noisy_stretch_finding(name, what, fit, stream.time_s)]
-            yield from found
-            if found:
-                break
+            if fit is not None and (name not in found or fit.rate_sd < found[name][1].rate_sd):
+                found[name] = unit, fit
+    return found
+
+
+def speeding_up_findings(mission: Mission, clocks: dict[str, tuple[str, ClockFit]]) -> Iterator[Finding]:
+    """Velocities whose stamps are stretched, see `felt_clocks`."""
+    for name, (unit, fit) in clocks.items():
+        what = f"the velocity is {{}} against the accelerations of {unit}"
+        yield from noisy_stretch_finding(name, what, fit, mission.streams[name].time_s)
+
+
+def is_right(fit: ClockFit) -> bool:
+    """Whether a clock is surely not stretched by as much as matters."""
+    return abs(fit.rate) + RIGHT_SDS * fit.rate_sd < RIGHT
 
 
 class _Turned(NamedTuple):
