@@ -123,6 +123,19 @@ def test_files_and_command(tmp_path, dive, capsys):
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"]["forward"]
 
 
+def test_on_the_command_line(tmp_path, dive, capsys):
+    vehicle, mission = dive
+    write_vehicle(vehicle, tmp_path / "vehicle.toml")
+    mission.save(tmp_path / "m.npz")
+    arguments = ["replay", str(tmp_path / "m.npz"), "--vehicle", str(tmp_path), "--no-report"]
+    arguments += ["--out", str(tmp_path / "out")]
+    assert main([*arguments, "--during", "gps:10-20:off", "--during", "compass:+250-:noise=2.5"]) == 0
+    assert "compass@2" in capsys.readouterr().out
+    for wrong in ("gps", "gps:1-2", "gps:1-2:on", "gps:1-2:noise=0", ":1-2:off", "gps:a-2:off"):
+        assert main([*arguments, "--during", wrong]) == 2
+        assert "is not SENSOR:BEGIN-END:WHAT" in capsys.readouterr().err
+
+
 TOML = """
 [streams.depth]
 file = "depth.csv"

@@ -263,7 +263,8 @@ def replay_one(options: argparse.Namespace) -> int:
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
 
-    vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), read(options))
+    mission = mission_part.with_instructions(options, read(options))
+    vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), mission)
     mission, withheld = mission_part.select(options, mission, vehicle)
     formats.check(options, mission)
     if limits := limits_of(options):  # a mistake in them shall not cost a replay
