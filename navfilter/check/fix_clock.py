@@ -23,6 +23,8 @@ WINDOWS_S, MOST_WINDOWS = (10.0, 5.0, 20.0), 2000
 LEAST_WINDOWS = 40
 #: Delays up to this are looked for [s], in steps of so much [s], at both ends of a mission, so long each [s].
 MOST_S, STEP_S, END_S = 60.0, 0.5, 600.0
+#: A rate counts where windows of two lengths say so by so many sds, and none says the opposite [1].
+SURE_TWICE = 3.0
 #: Differences for slopes, of a delay [s] and of a rate [1].
 BY_S, BY_RATE = 0.3, 3e-4
 #: What errs by more times the median is an outlier [1].
@@ -57,7 +59,7 @@ def path_clock(paths: Paths, sure: bool = False) -> PathClock | None:
     Returns
     -------
     PathClock or None
-        None where windows of several lengths do not say the same: each says which of the two clocks it is.
+        None where the rate is none, or windows of several lengths do not say the same, of the same clock.
 
     Notes
     -----
@@ -76,7 +78,9 @@ def path_clock(paths: Paths, sure: bool = False) -> PathClock | None:
         return None
     best = min(found, key=lambda one: one.fit.rate_sd)
     apart = [abs(fit.rate - best.fit.rate) / math.hypot(fit.rate_sd, best.fit.rate_sd) for fit, _ in found]
-    return best if max(apart) < SURER else None
+    alike = all(fit.rate * best.fit.rate > 0.0 for fit, _ in found)
+    many = sum(abs(fit.rate) > SURE_TWICE * fit.rate_sd for fit, _ in found) > 1
+    return best if alike and many and max(apart) < SURER else None
 
 
 class _Windows(NamedTuple):
