@@ -87,6 +87,7 @@ MISSION_TABLES = {
     "Component": (schema.Component, set()),
     "Origin": (schema.Origin, set()),
     "Start": (schema.StartSpec, set()),
+    "During": (schema.DuringSpec, set()),
     "Log": (schema.LogSpec, set()),
 }
 

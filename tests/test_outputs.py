@@ -137,7 +137,7 @@ def test_geojson_is_cut_at_the_antimeridian(tmp_path):
 def test_summary_has_the_promised_keys(tmp_path):
     mission, tracks = small_run()
     content = strict(write_summary(tracks, mission, tmp_path / "summary.json"))
-    assert list(content) == ["mission", "vehicle", "begin_utc", "duration_s", "distance_m", "runs"]
+    assert list(content) == ["schema", "mission", "vehicle", "begin_utc", "duration_s", "distance_m", "runs"]
     assert list(content["runs"]) == ["forward", "smoothed"]
     for run in content["runs"].values():
         assert list(run) == RUN_KEYS

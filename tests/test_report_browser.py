@@ -5,13 +5,17 @@ Needs Debian's ``chromium`` and ``chromium-driver``, and Selenium (the extra ``t
 """
 
 import dataclasses
+import itertools
 import json
 import shutil
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from navfilter.io.write import labelled
 from navfilter.playback.replay import replay
+from navfilter.report.chart import _tile
 from navfilter.report.report import write_report
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -215,3 +219,71 @@ def test_without_scripts_the_figures_for_print_are_there(report):
         assert not any(place.is_displayed() for place in driver.find_elements("css selector", ".live, .choice"))
     finally:
         driver.quit()
+
+
+@pytest.fixture(scope="module")
+def overlaid(tmp_path_factory):
+    """A report with another run beside it and a chart below it, in a wide window."""
+    folder = tmp_path_factory.mktemp("overlaid")
+    vehicle, mission = simulate_scenario("reckoning", seed=1, duration_s=150.0)
+    tracks = labelled(replay(vehicle, mission, smooth=True))
+    other = replay(vehicle.without("depth"), mission)
+    zoom, place = 17, [float(np.degrees(values[0])) for values in (other.longitude, other.latitude)]
+    for x, y in itertools.product(range(-2, 3), repeat=2):
+        column, row = (int(part) + step for part, step in zip(_tile(*place, zoom), (x, y), strict=True))
+        file = folder / "tiles" / str(zoom) / str(column) / f"{row}.png"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (256, 256), (200, 220, 240)).save(file)
+    report = write_report(tracks, mission, folder / "report.html", beside={"other": other}, tiles=folder / "tiles")
+    driver = browser(1400)
+    try:
+        driver.get(report.as_uri())
+        wait(driver, ALL_DRAWN)
+        yield driver
+    finally:
+        driver.quit()
+
+
+def test_another_run_and_a_chart_are_shown(overlaid):
+    kinds = "return Bokeh.documents[0].roots()[0].select('{}').length"
+    assert overlaid.execute_script(kinds.format("other")) and overlaid.execute_script(kinds.format("chart"))
+    lines = "return Bokeh.documents[1].roots().flatMap((root) => root.select('other')).length"
+    assert overlaid.execute_script(lines) >= 2
+    labels = [key.text for key in overlaid.find_elements("css selector", ".key")]
+    assert "other" in labels and "chart" in labels
+
+
+def test_any_quantity_is_shown_against_any_other(overlaid):
+    menus = overlaid.find_elements("css selector", "select.any")
+    assert [menu.get_attribute("value") for menu in menus] == ["travelled", "rms"]
+    overlaid.execute_script(
+        "for (const [k, v] of [[0, 'heading'], [1, 'innovation gps north']]) {"
+        "const menu = document.querySelectorAll('select.any')[k]; menu.value = v;"
+        "menu.dispatchEvent(new Event('change')); }"
+    )
+    find = "Bokeh.documents.flatMap((doc) => doc.roots().flatMap((root) => root.select('any')))[0]"
+    points = overlaid.execute_script(f"const d = {find}.data_source.data; return [[...d.x], [...d.y]]")
+    assert len(points[0]) == len(points[1]) > 50 and max(points[0]) > 6.3 and max(map(abs, points[1])) < 10.0
+
+
+def test_the_track_follows_a_zoom_in_time(overlaid):
+    """To the part that is shown, and back."""
+    edges = (
+        "const r = Bokeh.documents[0].roots()[0];"
+        "return ['east', 'north'].flatMap((n) => [r.select(n)[0].start, r.select(n)[0].end])"
+    )
+    marked = "return Bokeh.documents[0].roots()[0].select('zoomed')[0].data_source.data.x.length"
+    before = overlaid.execute_script(edges)
+    over_time = overlaid.find_elements("css selector", ".live")[1]
+    drag(overlaid, over_time, 0.4, 0.5)
+    wait(overlaid, f"{marked} > 10")
+    wait(overlaid, f"const e = (() => {{ {edges} }})(); return e[1] - e[0] < {0.8 * (before[1] - before[0])}")
+    after = overlaid.execute_script(edges)
+    ratio = [(e[1] - e[0]) / (e[3] - e[2]) for e in (before, after)]
+    assert ratio[1] == pytest.approx(ratio[0], rel=0.02)
+    from selenium.webdriver import ActionChains
+
+    ActionChains(overlaid).move_to_element(over_time).double_click().perform()
+    wait(overlaid, f"{marked} === 0")
+    assert overlaid.execute_script(edges) == pytest.approx(before, rel=0.01)
+    assert [entry for entry in overlaid.get_log("browser") if entry["level"] != "INFO"] == []

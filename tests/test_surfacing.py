@@ -13,7 +13,7 @@ from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import labelled
 from navfilter.models.error_models import White
 from navfilter.models.mission import Stream
-from navfilter.playback.held_out import score, withhold
+from navfilter.playback.held_out import drift, score, withhold
 from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -188,3 +188,39 @@ def test_replay_of_a_part_from_another_start(folder, tmp_path):
 def test_what_cannot_be_selected_is_said(folder, tmp_path, capsys, more, said):
     assert run(folder, tmp_path, *more) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def long_dive():
+    """Fixes all the way, all but the first minute of them kept from the filter."""
+    vehicle, mission = simulate_scenario("reckoning", seed=2, duration_s=900.0)
+    truth, fixes = mission.truth, mission.streams["gps"]
+    at = np.arange(1.0, 900.0)
+    value = np.column_stack([np.interp(at, truth.time_s, truth.value[:, c]) for c in range(3)])
+    return vehicle, *withhold(
+        mission.with_stream("gps", Stream(at, value, fixes.columns[:3])), vehicle, "gps", [(60, 900)]
+    )
+
+
+def test_a_drift_that_lasts_too_long_makes_a_doubt(long_dive):
+    """A velocity that errs to one side by five times its description."""
+    vehicle, mission, readings = long_dive
+    honest = drift(vehicle, mission, readings)
+    assert honest.count == 12 and honest.chance > 0.01 and honest.lasting < 3.0
+    assert not any(
+        "withheld" in f.text for f in assess(labelled(replay(vehicle, mission)), mission, (readings,)).verdict.findings
+    )
+    stream = mission.streams["velocity"]
+    leaning = mission.with_stream(
+        "velocity", dataclasses.replace(stream, value=stream.value + np.array([0.0, 0.25, 0.0]))
+    )
+    found = drift(vehicle, leaning, readings)
+    assert found.chance < 1e-6 and found.lasting > 5.0
+    verdict = assess(labelled(replay(vehicle, leaning)), leaning, (readings,)).verdict
+    assert any(f.stream == "gps" and "fixes withheld, 70 s apart" in f.text for f in verdict.findings), str(verdict)
+
+
+def test_too_few_fixes_withheld_are_no_test(long_dive):
+    vehicle, mission, readings = long_dive
+    few = dataclasses.replace(readings, readings=readings.readings.keep(slice(0, 3)))
+    assert drift(vehicle, mission, few) is None

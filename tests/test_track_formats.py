@@ -592,7 +592,8 @@ def test_every_format_is_an_option_of_replay(dive, tmp_path, capsys):
     arguments = ["replay", str(dive / "dated.npz"), "--vehicle", str(dive), "--out", str(tmp_path / "out")]
     assert main([*arguments, *asked, "--no-report"]) == 0
     told = capsys.readouterr().out
-    assert {path.name for path in (tmp_path / "out").glob("track.*")} == {f"track{suffix}" for suffix in SUFFIXES}
+    beside = {"track.shx", "track.dbf", "track.prj"}  # a shapefile is several files
+    assert {path.name for path in (tmp_path / "out").glob("track.*")} == {f"track{s}" for s in SUFFIXES} | beside
     assert all(f"track{suffix}" in told for suffix in SUFFIXES)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["begin_utc"] == "2026-05-28T20:26:40.250Z"

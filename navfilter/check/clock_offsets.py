@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navfilter.check.course_fit import WINDOW_S, Complex, Paths, share, without_gaps
+from navfilter.check.course_fit import WINDOW_S, Paths, share, without_gaps
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, correlation, factors, window_edges
 from navfilter.models.mission import Array
@@ -23,7 +23,6 @@ __all__ = [
     "late_by",
     "late_path_by",
     "noisy_stretch_finding",
-    "path_clock",
     "stretched_finding",
 ]
 
@@ -98,21 +97,6 @@ def late_path_by(paths: Paths, left: float) -> float | None:
         return share(paths.way(paths.body, late_s)[there], wanted[there])[0]
 
     return _best(unexplained, min(MOST_S, 0.25 * float(paths.edges[-1] - paths.edges[0])))
-
-
-def path_clock(paths: Paths) -> ClockFit | None:
-    """How a velocity's stamps lie against those of the positions, which it leads to by the heading; these err more."""
-    if paths.edges.size < 2 * LEAST_WINDOWS:
-        return None
-
-    def pairs(moved: Complex) -> Array:
-        return moved.view(float).reshape(-1, 2)
-
-    def found(late_s: float, rate: float) -> Array:
-        return pairs(paths.way(paths.body, late_s, rate=rate))
-
-    wanted = pairs(paths.moved(paths.places.time_s, paths.places.plane))
-    return fitted_shift(paths.edges, wanted, found, 0.5)
 
 
 class ClockFit(NamedTuple):

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import far_finding, late_path_by, noisy_stretch_finding, path_clock
+from navfilter.check.clock_offsets import far_finding, late_path_by, noisy_stretch_finding
 from navfilter.check.course_fit import (
     MOST_DELAY_S,
     CourseFit,
+    Paths,
     axes_of_the_earth,
     course_fit,
     paths_of,
     places_of,
 )
 from navfilter.check.finding import Finding
+from navfilter.check.fix_clock import path_clock
 from navfilter.check.series import heading_of, unwrapped, vector
 from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
@@ -48,9 +50,11 @@ def course_findings(
     mission: Mission,
     vehicle: Vehicle | None,
     gyro_agrees: bool = False,
-    stretched: bool = False,
+    clock: tuple[bool, bool] = (False, False),
 ) -> Iterator[Finding]:
-    """Findings about a velocity stream whose axes, sign, scale or clock (unless known) do not fit the positions."""
+    """Findings about a velocity stream whose axes, sign, scale or clock do not fit the positions; `clock`: it is known
+    to be stretched, it is known not to be.
+    """
     mounting, lever = mounting_of(name, vehicle)
     v = vector(stream, "v_x_m_s") @ mounting.T
     speed = np.hypot(v[:, 0], v[:, 1])
@@ -98,9 +102,8 @@ def course_findings(
             return
         if paths is not None and fit is not None:
             compared = True
-            if not stretched and not through_water(vehicle, name):
-                what = f"the velocity is {{}} against the positions of {places.name}"
-                yield from noisy_stretch_finding(name, what, path_clock(paths), paths.time_s)
+            if not clock[0] and not through_water(vehicle, name):
+                yield from _stretch_findings(name, other, paths, clock[1])
             stated = _stated_deg(vehicle, name, other, fit.speed_m_s)
             known_north = None if magnetic or field else north
             water = through_water(vehicle, name)
@@ -108,6 +111,20 @@ def course_findings(
             yield from _course_findings(streams, fit)
     if not compared:
         yield from _main_direction(name, v, speed)
+
+
+def _stretch_findings(name: str, heading: str, paths: Paths, sure: bool) -> Iterator[Finding]:
+    """Stamps of the velocity that are stretched against both others, or those of the positions."""
+    found = path_clock(paths, sure)
+    if found is None:
+        return
+    if not found.whole:
+        what = f"the velocity is {{}} against the positions of {paths.places.name}"
+        yield from noisy_stretch_finding(name, what, found.fit, paths.time_s)
+    elif paths.places.name != "truth":
+        fit = found.fit._replace(late_s=-found.fit.late_s, rate=1.0 / (1.0 + found.fit.rate) - 1.0)
+        what = f"its positions are {{}} against the way by {name} and {heading}"
+        yield from noisy_stretch_finding(paths.places.name, what, fit, paths.places.time_s)
 
 
 def _declination(mission: Mission) -> float | None:

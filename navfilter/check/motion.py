@@ -18,6 +18,8 @@ from navfilter.check.shared_motion import (
     TURN_S,
     axes_findings,
     clock_finding,
+    felt_clocks,
+    is_right,
     pair_findings,
     speeding_up_findings,
 )
@@ -73,7 +75,8 @@ def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Fin
             yield from found
     yield from pair_findings(mission, vehicle)
     yield from axes_findings(mission, vehicle)
-    stretched = list(speeding_up_findings(mission, vehicle))
+    clocks = felt_clocks(mission, vehicle)
+    stretched = list(speeding_up_findings(mission, clocks))
     yield from stretched
     if vehicle is not None:
         yield from surfacing_findings(mission, vehicle)
@@ -81,7 +84,8 @@ def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Fin
     for name, stream in mission.streams.items():
         if "v_x_m_s" in stream.columns:
             known = name in {finding.stream for finding in stretched}
-            yield from course_findings(name, stream, mission, vehicle, agrees, known)
+            sure = name in clocks and is_right(clocks[name][1])
+            yield from course_findings(name, stream, mission, vehicle, agrees, (known, sure))
             yield from vertical_findings(name, mission, vehicle)
             if vehicle is not None:
                 yield from sideways_findings(name, mission, vehicle)

@@ -13,12 +13,12 @@ from navfilter.check.clock_offsets import (
     DRIFT_S,
     ClockFit,
     fitted_clock,
-    fitted_shift,
     noisy_stretch_finding,
     stretched_finding,
 )
 from navfilter.check.course import SURE, mounting_of, through_water
 from navfilter.check.course_fit import Complex
+from navfilter.check.felt_velocity import felt_clock
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, heading_of, integral, jackknife, unwrapped, vector, window_edges
 from navfilter.models.mission import Array, Mission, Stream
@@ -26,7 +26,7 @@ from navfilter.models.mission import Array, Mission, Stream
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["axes_findings", "clock_finding", "pair_findings", "speeding_up_findings"]
+__all__ = ["axes_findings", "clock_finding", "felt_clocks", "is_right", "pair_findings", "speeding_up_findings"]
 
 #: Clocks are compared over windows of this length, speeds over longer ones [s].
 TURN_S, WAY_S = 2.0, 4.0
@@ -38,12 +38,12 @@ CLEAN = 0.01
 LOOSE = 0.05
 #: Accelerations are compared over windows of this length [s], and say something from this correlation on.
 WINDOW_S, ALIKE = 1.0, 0.45
-#: For the clocks over these, which drown noise [s], from this correlation on.
-CLOCK_WINDOW_S, CLOCK_ALIKE = 3.0, 0.5
 #: Mirrored axes fit by so much better than any that are turned [1].
 MIRRORED = 1.5
 #: So far off are axes that are turned [rad].
 TURNED = math.radians(25.0)
+#: A clock is right that surely, by so many sds, runs by less than this too fast or too slow [1].
+RIGHT_SDS, RIGHT = 3.0, 1e-3
 #: Of gravity [m/s^2].
 GRAVITY = 9.81
 #: Quarter turns about the down axis -> how the axes have to be read.
@@ -116,19 +116,34 @@ def _speed(stream: Stream) -> Array | None:
     return None
 
 
-def speeding_up_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
-    """Velocities whose stamps are stretched: speeding up, slowing down and turning are felt on another clock."""
+def felt_clocks(mission: Mission, vehicle: Vehicle | None) -> dict[str, tuple[str, ClockFit]]:
+    """By velocity the inertial unit that it is held against, and how its stamps lie: speeding up, slowing down and
+    turning are felt on another clock.
+    """
+    found: dict[str, tuple[str, ClockFit]] = {}
     units = [(n, s) for n, s in mission.streams.items() if "force_x_m_s2" in s.columns]
     for name, stream in mission.streams.items():
         for unit, imu in units if "v_x_m_s" in stream.columns else ():
-            motion = _motion(imu, stream, *mounting_of(name, vehicle))
-            if motion is None:
-                break
-            what = f"the velocity is {{}} against the accelerations of {unit}"
-            found = [*noisy_stretch_finding(name, what, motion.clock(), motion.time_s)]
-            yield from found
-            if found:
-                break
+            mounting, arm_m = mounting_of(name, vehicle)
+            v = vector(stream, "v_x_m_s") @ mounting.T
+            known = np.asarray(np.isfinite(v).all(axis=1))
+            known[1:] &= np.diff(stream.time_s) > 0.0
+            fit = felt_clock(imu, stream.time_s[known], v[known], np.array([arm_m.real, arm_m.imag, 0.0]))
+            if fit is not None and (name not in found or fit.rate_sd < found[name][1].rate_sd):
+                found[name] = unit, fit
+    return found
+
+
+def speeding_up_findings(mission: Mission, clocks: dict[str, tuple[str, ClockFit]]) -> Iterator[Finding]:
+    """Velocities whose stamps are stretched, see `felt_clocks`."""
+    for name, (unit, fit) in clocks.items():
+        what = f"the velocity is {{}} against the accelerations of {unit}"
+        yield from noisy_stretch_finding(name, what, fit, mission.streams[name].time_s)
+
+
+def is_right(fit: ClockFit) -> bool:
+    """Whether a clock is surely not stretched by as much as matters."""
+    return abs(fit.rate) + RIGHT_SDS * fit.rate_sd < RIGHT
 
 
 class _Turned(NamedTuple):
@@ -219,31 +234,6 @@ class _Motion(NamedTuple):
         pulls = [1j * GRAVITY * tilt for tilt in tilts]
         read, mirrored, forced = forces + pulls[0], forces.conjugate() + pulls[1], forces.conjugate() + pulls[0]
         return tuple(_integral(at, force) for force in (read, mirrored, forced))
-
-    def clock(self) -> ClockFit | None:
-        """How the velocity's stamps lie against those of the inertial unit, which errs less: that one is moved."""
-        length_s = max(CLOCK_WINDOW_S, 4.0 * float(np.median(np.diff(self.time_s))))
-        edges = self.edges(1.5 * length_s, length_s / 4.0)
-        if edges.size < 100:
-            return None
-        at, rate = self.imu.time_s, vector(self.imu, "rate_x_rad_s")[:, 2]
-        body: Complex = np.interp(at, self.time_s, self.body) - 1j * rate * self.arm_m
-        grows: Complex = self.felt()[0] - _integral(at, 1j * rate * body) + 1j * rate * self.arm_m
-        middle = 0.5 * float(edges[0] + edges[-1])
-
-        way, walked = _integral(at, grows), _integral(self.time_s, self.body)
-
-        def changes(edges: Array, times: Array, series: Complex) -> Array:
-            """From window to window, of means: a velocity that errs at random errs less in the mean."""
-            behind, ahead = (_changes(edges + shift, length_s, times, series) for shift in (0.0, length_s))
-            return (ahead - behind).view(float).reshape(-1, 2) / length_s
-
-        def found(late_s: float, rate: float) -> Array:
-            return changes(edges + late_s + rate * (edges - middle), at, way)
-
-        wanted = changes(edges, self.time_s, walked)
-        fit = fitted_shift(edges, wanted, found, 0.1 * length_s, alike=CLOCK_ALIKE)
-        return None if fit is None else fit._replace(late_s=-fit.late_s, rate=1.0 / (1.0 + fit.rate) - 1.0)
 
     def _turn(self) -> Array:
         return integral(self.imu.time_s, vector(self.imu, "rate_x_rad_s")[:, 2])

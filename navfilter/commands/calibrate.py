@@ -106,13 +106,14 @@ def run(options: argparse.Namespace) -> int:
     from navfilter.calibration.text import calibration_text
     from navfilter.io import read_mission, read_vehicle
     from navfilter.io.calibrated_toml import write_calibrated
+    from navfilter.playback.instructions import instructed
 
     out = Path(options.out)
     new_files([out, *([Path(options.json)] if options.json else [])], options.force)
     vehicle = read_vehicle(options.vehicle)
     limits_of(options)  # a mistake in them shall not cost a calibration
     limits = {"confine": options.confine, "unpacked_bytes": unpacked_bytes(options)}
-    missions = [read_mission(path, **limits) for path in options.mission]
+    missions = [instructed(vehicle, read_mission(path, **limits))[1] for path in options.mission]
     single, missions, unit = _of_one_unit(vehicle, missions, options.imu)
     known = single
     for k, mission in enumerate(missions if options.truth else ()):

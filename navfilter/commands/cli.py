@@ -299,10 +299,14 @@ def _add_check(commands: Any) -> None:
 def _check(options: argparse.Namespace) -> int:
     from navfilter.check import check_mission, report_text
     from navfilter.io import read_vehicle
+    from navfilter.playback.instructions import instructed
 
     say = speaker(options.quiet)
     mission = _of_a_log(Path(options.mission), say, unpacked_bytes(options)) or read(options)
-    findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
+    vehicle = None
+    if options.vehicle is not None:
+        vehicle, mission = instructed(read_vehicle(options.vehicle), mission)
+    findings = check_mission(mission, vehicle)
     say(report_text(mission, findings))
     return FOUND if any(finding.severity == "error" for finding in findings) else OK
 

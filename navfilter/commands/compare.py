@@ -122,6 +122,7 @@ def run(options: argparse.Namespace) -> int:
     """Read, replay with every model, compare, write, print; 0 when all is well."""
     from navfilter.evaluation.baselines import MODELS
     from navfilter.io import read_vehicle
+    from navfilter.playback.instructions import instructed
 
     for name in options.models:
         if name not in MODELS:
@@ -135,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
         )
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     truth = None if options.oracle is None else true_errors(vehicle, read_vehicle(options.oracle))
-    mission = read(options)
+    vehicle, mission = instructed(vehicle, read(options))
     folder = None if options.out is None else output_folder(options.out, options.force)
     plan = Plan(options.models, options.sensors, truth, options.models if options.smooth else (), options.output_rate)
     tracks = replay_models(plan, vehicle, mission, options.quiet)

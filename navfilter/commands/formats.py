@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING
 from navfilter.io.tracks.formats import FORMATS, is_nowhere
 
 if TYPE_CHECKING:
-    from navfilter.models.mission import Mission
+    from pathlib import Path
 
-__all__ = ["FILES", "add_arguments", "check"]
+    from navfilter.models.mission import Mission
+    from navfilter.track.track import Track
+
+__all__ = ["FILES", "add_arguments", "check", "write_own_formats"]
 
 #: What every replay writes of a track, for the text of a help.
 FILES = "\n".join(f"  {'track' + form.suffix:15} {form.about}" for form in FORMATS if form.always)
@@ -32,6 +35,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 default=[],
                 help=f"track{form.suffix}, {form.about}" + (f" ({'; '.join(needs)})" if needs else ""),
             )
+    group.add_argument(
+        "--format",
+        dest="own_formats",
+        action="append",
+        default=[],
+        metavar="TOML",
+        help="a table of your own: its file name, separators and columns, see 'Files for other programs' in the manual",
+    )
+
+
+def write_own_formats(options: argparse.Namespace, track: Track, folder: Path) -> list[Path]:
+    """The tables of ``--format``."""
+    from navfilter.io.tracks.own_columns import read_format, write_own
+
+    return [write_own(track, folder, read_format(path)) for path in options.own_formats]
 
 
 def check(options: argparse.Namespace, mission: Mission) -> None:
@@ -42,6 +60,10 @@ def check(options: argparse.Namespace, mission: Mission) -> None:
     ValueError
         See `navfilter.io.tracks.formats.TrackFormat.check`.
     """
+    for path in options.own_formats:
+        from navfilter.io.tracks.own_columns import read_format
+
+        read_format(path)
     start = mission.start
     nowhere = start is not None and is_nowhere(start.latitude_deg, start.longitude_deg)
     for form in FORMATS:

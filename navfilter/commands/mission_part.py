@@ -1,4 +1,5 @@
-"""Which part of a mission ``navfilter replay`` runs: ``--from``, ``--to``, ``--start`` and ``--withhold``."""
+"""Which part of a mission ``navfilter replay`` runs: ``--from``, ``--to``, ``--start``,
+``--withhold`` and ``--during``."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.playback.held_out import Withheld
 
-__all__ = ["SELECTION", "add_arguments", "select"]
+__all__ = ["SELECTION", "add_arguments", "select", "with_instructions"]
 
 #: Stands below the help of the command.
 SELECTION = """\
@@ -22,6 +23,8 @@ first reading (+300).
   --withhold gps:300-900            no fix from 300 to 900 s; the track is scored against the fixes withheld
   --withhold gps:300-900,+2000-     and none after 2000 s of the recording
   --withhold gps:all-but-first-120  only those of its first 120 s
+  --during dvl:300-360:off          as [[during]] of a mission.toml: no DVL from 300 to 360 s
+  --during compass:900-:noise=3     its noise three times as large from then on
   --start latitude_deg=47.1,longitude_deg=8.2,heading_deg=90,heading_sd_deg=2
                                     any of: time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg,
                                     heading_deg, position_sd_m, velocity_sd_m_s, tilt_sd_deg, heading_sd_deg;
@@ -43,6 +46,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SENSOR:A-B",
         help="keep these readings from the filter and score it against them; may be repeated; see below",
     )
+
+    parser.add_argument(
+        "--during",
+        action="append",
+        default=[],
+        metavar="SENSOR:A-B:WHAT",
+        help="leave a sensor out for a time (off), or believe it less (noise=3); may be repeated; see below",
+    )
+
+
+def with_instructions(options: argparse.Namespace, mission: Mission) -> Mission:
+    """The mission with what ``--during`` says beside its own instructions.
+
+    Raises
+    ------
+    ValueError
+        For an instruction that is none.
+    """
+    from navfilter.models.during import During
+
+    found = list(mission.during)
+    for text in options.during:
+        sensor, times, what = ([*text.rsplit(":", 2), "", ""])[:3]
+        ends = re.fullmatch(rf"({_TIME})?-({_TIME})?", times)
+        noise = re.fullmatch(r"noise=(\d+(?:\.\d*)?|\.\d+)", what)
+        if not sensor or ends is None or (what != "off" and (noise is None or not float(noise[1]) > 0.0)):
+            raise ValueError(
+                f"--during: '{text}' is not SENSOR:BEGIN-END:WHAT. Examples: dvl:300-360:off, compass:900-:noise=3."
+            )
+        begin, end = _clock(ends[1], mission, -math.inf), _clock(ends[2], mission, math.inf)
+        factor = 1.0 if noise is None else float(noise[1])
+        found.append(During(sensor, begin, end, off=what == "off", noise=factor))
+    return dataclasses.replace(mission, during=tuple(found))
 
 
 def select(options: argparse.Namespace, mission: Mission, vehicle: Vehicle) -> tuple[Mission, tuple[Withheld, ...]]:

@@ -94,6 +94,7 @@ examples:
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit dvl.scale=0.1%
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --control gates.csv    against surveyed places
+  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --backward    against an independent run
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
 """,
@@ -198,6 +199,23 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare the track with surveyed places, which the filter does not get: a table with the columns name, "
         "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
     )
+    parser.add_argument(
+        "--beside",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="show the track of another run in the report, too: the folder of its track.csv; may be repeated",
+    )
+    parser.add_argument(
+        "--tiles",
+        metavar="PATH",
+        help="a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)",
+    )
+    parser.add_argument(
+        "--backward",
+        action="store_true",
+        help="run the mission from its end to its beginning too, independently, and hold both runs against each other",
+    )
     mission_part.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
@@ -243,20 +261,35 @@ def replay_one(options: argparse.Namespace) -> int:
     from navfilter.calibration.parts import constants_of
     from navfilter.evaluation.control_points import read_control_points
     from navfilter.io import read_vehicle
+    from navfilter.playback.instructions import instructed
 
-    vehicle = read_vehicle(options.vehicle).without(*options.without)
-    mission, withheld = mission_part.select(options, read(options), vehicle)
+    mission = mission_part.with_instructions(options, read(options))
+    vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), mission)
+    mission, withheld = mission_part.select(options, mission, vehicle)
     formats.check(options, mission)
     if limits := limits_of(options):  # a mistake in them shall not cost a replay
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
+    if options.tiles:
+        from navfilter.report.chart import check_tiles
+
+        check_tiles(Path(options.tiles))
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     how = {"output_rate_hz": options.output_rate}
     how |= {"passes": options.passes} if options.passes != 1 else {"smooth": options.smooth}
     track = _replayed(vehicle, mission, options.quiet, **how)
-    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits, control)
+    back = _backward(vehicle, mission, track, options) if options.backward else None
+    return _write(track, mission, folder, options, withheld, options.vehicle, options.report, limits, control, back)
+
+
+def _backward(vehicle: Any, mission: Mission, track: Track, options: argparse.Namespace) -> Track:
+    """The same mission from its end to its beginning."""
+    from navfilter.playback.backward import backward
+
+    speaker(options.quiet)("replaying it backward ...")
+    return backward(vehicle, mission, track, output_rate_hz=options.output_rate)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -295,18 +328,25 @@ def _write(
     drawn: bool = True,
     limits: Sequence[tuple[str, float, str]] = (),
     control: Sequence[ControlPoint] = (),
+    back: Track | None = None,
 ) -> int:
     """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
     tracks = labelled(track)
-    assessment = assess(tracks, mission, withheld, limits, control)
+    assessment = assess(tracks, mission, withheld, limits, control, back)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
+    written += formats.write_own_formats(options, list(tracks.values())[-1], folder)
     report = folder / "report.html"
     if drawn:
-        _write_report(tracks, mission, report, assessment, not options.quiet and sys.stderr.isatty())
+        from navfilter.io.tracks.reading import read_track
+
+        others = [read_track(path, result_of(tracks).vehicle) for path in getattr(options, "beside", ())]
+        beside = {_unlike(other.label, tracks): other for other in others}
+        bars = not options.quiet and sys.stderr.isatty()
+        _write_report(tracks, mission, report, assessment, bars, beside, getattr(options, "tiles", None))
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
@@ -321,13 +361,31 @@ def _write(
     return NOT_TRUSTED if verdict.wrong else NOT_JUDGED
 
 
-def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assessment: Assessment, bars: bool) -> None:
+def result_of(tracks: dict[str, Track]) -> Track:
+    """The last one."""
+    return list(tracks.values())[-1]
+
+
+def _unlike(label: str, tracks: dict[str, Track]) -> str:
+    """A label that no run of this replay has."""
+    return f"{label} (beside)" if label in tracks or label == "truth" else label
+
+
+def _write_report(
+    tracks: dict[str, Track],
+    mission: Mission,
+    path: Path,
+    assessment: Assessment,
+    bars: bool,
+    beside: dict[str, Track],
+    tiles: str | None,
+) -> None:
     from tqdm import tqdm
 
     from navfilter.report.report import write_report
 
     with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
-        write_report(tracks, mission, path, bar.update, assessment)
+        write_report(tracks, mission, path, bar.update, assessment, beside, tiles)
 
 
 def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:

@@ -14,7 +14,8 @@ from navfilter.evaluation.learned_text import LearnedText, learnt
 from navfilter.evaluation.survey_figures import SurveyFigures, survey_figures
 from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.models.mission import Mission
-from navfilter.playback.held_out import Score, Withheld, score
+from navfilter.playback.backward import Apart, apart
+from navfilter.playback.held_out import Score, Withheld, drift, score
 from navfilter.track.track import Track
 
 __all__ = ["Assessment", "assess"]
@@ -40,6 +41,8 @@ class Assessment:
         Of the result.
     control : tuple of Control
         The result at surveyed places.
+    apart : Apart or None
+        The run against an independent one from the end to the beginning.
     """
 
     evidence: Evidence
@@ -49,6 +52,7 @@ class Assessment:
     lights: tuple[Light, ...] = ()
     survey: SurveyFigures | None = None
     control: tuple[Control, ...] = ()
+    apart: Apart | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
@@ -60,6 +64,8 @@ class Assessment:
             own["survey"] = self.survey.to_dict()
         if self.control:
             own["control"] = [one.to_dict() for one in self.control]
+        if self.apart is not None:
+            own["backward"] = self.apart.to_dict()
         if self.lights:
             own["constants"] = {light.name: light.to_dict() for light in self.lights}
         return {**own, **({"withheld": scores} if scores else {})}
@@ -77,6 +83,7 @@ class Assessment:
         for label, found in self.scores.items():
             yield from (f"{label}: {s}" for s in found)
         yield from self.evidence.lines()
+        yield from () if self.apart is None else (str(self.apart),)
         yield from self.survey.lines() if self.survey is not None else ()
         yield from map(str, self.control)
 
@@ -87,6 +94,7 @@ def assess(
     withheld: Sequence[Withheld] = (),
     limits: Sequence[tuple[str, float, str]] = (),
     control: Sequence[ControlPoint] = (),
+    back: Track | None = None,
 ) -> Assessment:
     """Assess a run.
 
@@ -102,6 +110,8 @@ def assess(
         Of the sds of constants, see `navfilter.calibration.lights.limit_of`.
     control : sequence of ControlPoint
         Surveyed places.
+    back : Track, optional
+        Of `navfilter.playback.backward.backward`.
 
     Raises
     ------
@@ -115,6 +125,10 @@ def assess(
             scores[label] = found
     result = list(tracks.values())[-1]
     own = evidence(result)
+    tested = [drift(result.vehicle, mission, one) for one in withheld]
+    drifts = [one for one in tested if one is not None]
     lights = constant_lights(result, limits)
     at = control_residuals(result, control)
-    return Assessment(own, judge(result, mission, own), learnt(result), scores, lights, survey_figures(result), at)
+    separated = None if back is None else apart(result, back)
+    verdict = judge(result, mission, own, drifts=drifts, separated=separated)
+    return Assessment(own, verdict, learnt(result), scores, lights, survey_figures(result), at, separated)

@@ -54,7 +54,8 @@ class Limits:
     repaired : float
         Share of the drive's samples that were impossible or out of order.
     chance : float
-        Surfacings as bad as these by chance.
+        Surfacings as bad as these by chance. A fix that is refused, but no less likely than this, is a remark, and so
+        is what the filter did because of it: after a dive it refuses one honest fix in a hundred.
     far : float
         A constant so many of its sd from what vehicle.toml says is not what it says.
     untold : float
@@ -80,6 +81,8 @@ class Limits:
 
 
 LIMITS = Limits()
+#: Share of honest fixes after a dive that are refused [1].
+REFUSED = 0.01
 #: Faults of a drive's axes that no unit has for a moment: the description of its file is wrong.
 DESCRIBED_WRONGLY = frozenset({"wrong-unit", "gravity", "swapped"})
 #: An axis that is the worst of so many of the rejected readings is named [1].
@@ -117,11 +120,11 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
     yield from _drive(run, mission, limits)
     for name, sensor in run.vehicle.sensors.items():
         if not sensor.from_drive:
-            yield from _sensor(name, run, mission, limits, explained=bool(told))
+            yield from _sensor(name, run, mission, limits, bool(told), _unlucky(evidence, limits))
     yield from north_findings(mission, run.vehicle)
     yield from _surfaced(evidence, limits)
     yield from constant_doubts(run, limits.far, limits.untold)
-    yield from _mended(run)
+    yield from _mended(run, len(_unlucky(evidence, limits)))
     yield from correlation_doubts(run, mission)
     yield from _given_up(run)
 
@@ -190,12 +193,12 @@ def _lanes(run: Track) -> Iterator[Finding]:
         yield Finding("warning", "", text, cure)
 
 
-def _mended(run: Track) -> Iterator[Finding]:
-    """What contradicted everything else, and was left out or set anew for that."""
+def _mended(run: Track, unlucky: int) -> Iterator[Finding]:
+    """What contradicted everything else, and was left out or set anew for that; so often for fixes that may be."""
     where = "See in report.html, at the innovations, when and against which sensor; is the start right?"
     if count := run.counts.get("reset", 0):
         text = f"{counted(count, 'time')} readings that agree with each other set the state anew: it had been wrong."
-        yield Finding("warning", "", text, where)
+        yield Finding("warning" if count > unlucky else "info", "", text, where)
     name = run.vehicle.drive.streams[-1]
     found = {fault: run.counts[fault] for fault in COUNTED if run.counts.get(fault, 0)}
     if count := found.pop("noisy", 0):
@@ -232,7 +235,9 @@ def _given_up(run: Track) -> Iterator[Finding]:
 # --- sensors --------------------------------------------------------------------------------------------------------
 
 
-def _sensor(name: str, run: Track, mission: Mission, limits: Limits, explained: bool) -> Iterator[Finding]:
+def _sensor(
+    name: str, run: Track, mission: Mission, limits: Limits, explained: bool, unlucky: Sequence[float]
+) -> Iterator[Finding]:
     """What became of the readings of one sensor; with what is left out, and has been said, none scatters too much."""
     clock = _clock(name, run, mission, limits)
     if clock is not None:
@@ -247,22 +252,25 @@ def _sensor(name: str, run: Track, mission: Mission, limits: Limits, explained: 
         what = ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
         yield Finding("error", name, f"not one of its {len(r.time_s)} readings was used ({what}).", _CHECK)
         return
-    yield from _jumped(name, run)
+    yield from _jumped(name, run, unlucky)
     yield from _lost(name, r, limits)
     yield from _refused(name, run, r, limits)
     yield from _honesty(name, run, r, limits, explained)
 
 
-def _jumped(name: str, run: Track) -> Iterator[Finding]:
-    """A sensor that was off by a constant from one reading to the next."""
+def _jumped(name: str, run: Track, unlucky: Sequence[float]) -> Iterator[Finding]:
+    """A sensor that was off by a constant from one reading to the next; a remark where fixes that may be made it so."""
     history = run.error_models.get(name, [])
     ends = [*(time_s for time_s, _ in history[1:]), float(run.time_s[-1])]
-    spans = [end - begin for (begin, models), end in zip(history, ends, strict=True) if has_offset(models)]
+    whole = [(begin, end) for (begin, models), end in zip(history, ends, strict=True) if has_offset(models)]
+    spans = [end - begin for begin, end in whole]
+    timeout_s = max((s.gate_timeout_s for s in run.vehicle.sensors.values() if s.gives == "position"), default=0.0)
     if spans:
+        by_fixes = all(any(0.0 <= begin - at <= timeout_s for at in unlucky) for begin, _ in whole)
         share = sum(spans) / max(float(run.time_s[-1] - run.time_s[0]), 1e-9)
         text = f"jumped by a constant {len(spans)} times; for {sum(spans):.0f} s only its changes were used."
         cure = f"Is it fixed to the vehicle, and its mounting right? Replay with --without {name}."
-        yield Finding("error" if share > LONG_JUMPED else "warning", name, text, cure)
+        yield Finding("error" if share > LONG_JUMPED else "info" if by_fixes else "warning", name, text, cure)
 
 
 def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Finding]:
@@ -376,6 +384,13 @@ def _longest_rejection(r: Residuals) -> float:
 # --- surfacings -----------------------------------------------------------------------------------------------------
 
 
+def _unlucky(evidence: Evidence, limits: Limits) -> list[float]:
+    """Times of fixes after a dive that were refused, but are not too far off to be [s]; none where these are many."""
+    found = [s.time_s for s in evidence.surfacings if not s.used and s.chance > limits.chance]
+    many = found and bdtrc(len(found) - 1, len(evidence.surfacings), REFUSED) < limits.chance
+    return [] if many else found
+
+
 def _surfaced(evidence: Evidence, limits: Limits) -> Iterator[Finding]:
     """Fixes that come back where they should not be."""
     found = evidence.surfacings
@@ -388,7 +403,8 @@ def _surfaced(evidence: Evidence, limits: Limits) -> Iterator[Finding]:
             f"the first fix after {worst.without_s:.0f} s without was rejected, {worst.error_m:.1f} m off "
             f"where {worst.sd_m:.1f} m were predicted ({len(refused)} of {len(found)} surfacings)."
         )
-        yield Finding("warning", worst.sensor, text, cure)
+        grave = len(refused) > len(_unlucky(evidence, limits))
+        yield Finding("warning" if grave else "info", worst.sensor, text, cure if grave else "")
     elif outside and bdtrc(outside - 1, len(found), 0.05) < limits.chance:
         text = f"{outside} of {len(found)} surfacings lie outside the range that should hold 95 % of them."
         yield Finding("warning", "", text, cure)

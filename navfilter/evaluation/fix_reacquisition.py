@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincc
 
 from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.chi_square import chi_square_limit
@@ -44,6 +45,8 @@ class Surfacing:
         Whether the fix lies where 95 % of such fixes should (NIS against chi-square).
     used : bool
         False: the gate rejected it.
+    chance : float
+        Probability of one so far off, by NIS.
     """
 
     sensor: str
@@ -54,6 +57,7 @@ class Surfacing:
     sd_m: float
     inside: bool
     used: bool
+    chance: float = math.nan
 
     @property
     def percent(self) -> float:
@@ -215,6 +219,7 @@ def surfacings(track: Track) -> tuple[Surfacing, ...]:
                 sd_m=float(np.hypot(*r.sd[i, :2])),
                 inside=bool(r.nis[i] <= chi_square_limit(0.95, max(r.dof[i], 1.0))),
                 used=bool(r.used[i]),
+                chance=float(gammaincc(0.5 * max(r.dof[i], 1.0), 0.5 * r.nis[i])),
             )
         )
     return tuple(found)

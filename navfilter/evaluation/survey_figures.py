@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from navfilter.track.heave import heave
 from navfilter.track.track import Track
 
 __all__ = ["ORDERS", "SurveyFigures", "radius", "survey_figures"]
@@ -36,6 +37,8 @@ class SurveyFigures:
         Bound of the vertical error in 95 of 100 cases [m].
     orders : dict of str to float
         Share of the way on which the vehicle's position meets an order, in per cent.
+    heave_rms_m : float or None
+        Rms of `navfilter.track.heave.heave` [m]; None without an inertial unit, and for rows too far apart.
     """
 
     cep50_mean_m: float
@@ -45,6 +48,7 @@ class SurveyFigures:
     tvu_mean_m: float
     tvu_most_m: float
     orders: dict[str, float]
+    heave_rms_m: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values, for summary.json."""
@@ -57,6 +61,8 @@ class SurveyFigures:
             f"{self.r95_mean_m:.2f} m ({self.r95_most_m:.2f}), vertical 95 % {self.tvu_mean_m:.2f} m "
             f"({self.tvu_most_m:.2f})"
         )
+        if self.heave_rms_m is not None:
+            yield f"heave (up and down faster than 30 s) {self.heave_rms_m:.3f} m rms"
         shares = ", ".join(f"{name} {share:.0f} %" for name, share in self.orders.items())
         yield f"of the way within the orders of IHO S-44 (position of the vehicle alone, limits of depth 0): {shares}"
 
@@ -78,7 +84,15 @@ def survey_figures(track: Track) -> SurveyFigures:
         *(float(r95.mean()), float(r95.max())),
         *(float(vertical.mean()), float(vertical.max())),
         orders={name: float(100.0 * way[met].sum() / way.sum()) for name, met in inside.items()},
+        heave_rms_m=_heave_rms_m(track),
     )
+
+
+def _heave_rms_m(track: Track) -> float | None:
+    try:
+        return float(np.sqrt(np.mean(heave(track) ** 2)))
+    except ValueError:  # nobody asked for it
+        return None
 
 
 def radius(covariance: Array, share: float) -> Array:

@@ -4,7 +4,7 @@ that nothing in the mission could contradict is not judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +16,8 @@ from navfilter.evaluation.diagnostics import LIMITS, Limits, doubts
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.io.mission_toml import STANDS_IN
 from navfilter.models.mission import Mission
+from navfilter.playback.backward import Apart
+from navfilter.playback.held_out import Drift
 from navfilter.track.track import Track
 
 __all__ = ["Verdict", "judge"]
@@ -93,7 +95,14 @@ class Verdict:
         return {**judged, "headline": self.headline, "findings": findings}
 
 
-def judge(track: Track, mission: Mission, evidence: Evidence, limits: Limits = LIMITS) -> Verdict:
+def judge(
+    track: Track,
+    mission: Mission,
+    evidence: Evidence,
+    limits: Limits = LIMITS,
+    drifts: Sequence[Drift] = (),
+    separated: Apart | None = None,
+) -> Verdict:
     """Judge a run by its own figures; a truth is not asked.
 
     Parameters
@@ -105,12 +114,21 @@ def judge(track: Track, mission: Mission, evidence: Evidence, limits: Limits = L
     evidence : Evidence
         Of the run.
     limits : Limits
+    drifts : sequence of Drift
+        What fixes say that were withheld.
+    separated : Apart, optional
+        The run against an independent one backward.
     """
     run = track.forward or track
     rank = {"error": 0, "warning": 1, "info": 2}
     # first what the data say of each other: what the run shows comes of it
     found = [f for f in data_findings(replace(mission, truth=None), run.vehicle) if not _estimated(f, run)]
-    found += [*doubts(run, mission, evidence, limits), *_remarks(mission)]
+    found += [
+        *doubts(run, mission, evidence, limits),
+        *_drifted(drifts, limits),
+        *_separated(separated, limits),
+        *_remarks(mission),
+    ]
     return Verdict(
         tuple(sorted(found, key=lambda finding: rank[finding.severity])),
         _praise(run, evidence),
@@ -127,6 +145,24 @@ _VELOCITIES = ("velocity",)
 def _estimated(finding: Finding, run: Track) -> bool:
     """Whether the filter had states for what a finding is about."""
     return any(word in state for word in _STATES.get(finding.about, ()) for state in run.state_names)
+
+
+def _drifted(drifts: Sequence[Drift], limits: Limits) -> Iterator[Finding]:
+    """Fixes withheld that find more drift than was predicted."""
+    for found in drifts:
+        if found.chance < limits.chance:
+            text = f"{found.count} of the fixes withheld, {found.apart_s:.0f} s apart, find a drift of a mean NIS of "
+            text += f"{found.nis:.1f}, where 1 is honest, that goes on in one direction by {found.lasting:.1f} sd."
+            cure = "Give what drives, and its velocity, larger or slower errors in vehicle.toml."
+            yield Finding("error" if found.nis > limits.nis[1] else "warning", found.sensor, text, cure)
+
+
+def _separated(found: Apart | None, limits: Limits) -> Iterator[Finding]:
+    """Runs forward and backward that are farther apart than two honest ones."""
+    if found is not None and found.chance < limits.chance:
+        text = f"the runs forward and backward are {np.sqrt(found.nis):.1f} times as far apart as both predict."
+        cure = "See in report.html, at Forward and backward, where they part: what is read there contradicts the rest."
+        yield Finding("error" if found.nis > limits.nis[1] ** 2 else "warning", "", text, cure)
 
 
 def _remarks(mission: Mission) -> Iterator[Finding]:

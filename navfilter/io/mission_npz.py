@@ -9,6 +9,7 @@ from typing import Any
 
 from navfilter.io.containers import read_npz
 from navfilter.io.trust import UNPACKED_BYTES, Allowance
+from navfilter.models.during import During
 from navfilter.models.mission import NPZ_FORMAT, TRUTH_COLUMNS, Mission, MissionError, Stream
 
 
@@ -55,6 +56,7 @@ def read_mission_npz(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Missio
             notes=tuple(meta["notes"]),
             windows=tuple((a, b) for a, b in meta["windows"]),
             epoch_utc_s=meta.get("epoch_utc_s"),
+            during=tuple(During(**one) for one in meta.get("during", ())),
         )
     except MissionError:
         raise

@@ -360,6 +360,26 @@ class LogSpec(Strict):
     columns: dict[str, tuple[str, ...]] = Field(default_factory=dict)
 
 
+class DuringSpec(Strict):
+    """An instruction for a part of the mission."""
+
+    sensor: str
+    from_s: float | None = None
+    to_s: float | None = None
+    off: bool = False
+    noise: float = Field(default=1.0, gt=0)
+    keys: dict[str, Any] = Field(default_factory=dict)
+    why: str = ""
+
+    @model_validator(mode="after")
+    def _says_something(self) -> DuringSpec:
+        if self.from_s is not None and self.to_s is not None and not self.from_s < self.to_s:
+            raise ValueError(f"from_s must be before to_s, found {self.from_s:g} and {self.to_s:g}")
+        if not (self.off or self.noise != 1.0 or self.keys):
+            raise ValueError("give off = true, noise = 3.0 (times as large), or keys = {..} of the sensor's table")
+        return self
+
+
 class MissionSpec(Strict):
     """A whole mission.toml."""
 
@@ -372,6 +392,7 @@ class MissionSpec(Strict):
     truth: TruthStream | None = None
     log: LogSpec | None = None
     streams: dict[str, SensorStream] = Field(default_factory=dict)
+    during: tuple[DuringSpec, ...] = ()
 
     @field_validator("epoch", mode="before")
     @classmethod

@@ -16,6 +16,7 @@ from navfilter.io.logs import Shelf
 from navfilter.io.logs.topic_names import INSTRUMENT
 from navfilter.io.mission_schema import (
     Clock,
+    DuringSpec,
     MissionSpec,
     Origin,
     Source,
@@ -30,6 +31,7 @@ from navfilter.io.stream_joining import block_mean, block_sd, mean, resampled
 from navfilter.io.tables import Table, TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place, expand
 from navfilter.io.validation import read_toml, validate
+from navfilter.models.during import During
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 
 Array = npt.NDArray[np.float64]
@@ -101,7 +103,13 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
         notes=tuple(reader.notes),
         windows=spec.windows,
         epoch_utc_s=None if epoch_utc_s is None else epoch_utc_s + zero,
+        during=tuple(_instruction(one) for one in spec.during),
     )
+
+
+def _instruction(spec: DuringSpec) -> During:
+    begin, end = -np.inf if spec.from_s is None else spec.from_s, np.inf if spec.to_s is None else spec.to_s
+    return During(spec.sensor, begin, end, spec.off, spec.noise, spec.keys, spec.why)
 
 
 def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -> float:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import tomllib
 import types
 import typing
 from functools import cache
@@ -133,6 +134,35 @@ def learnt_keys(part: LearnedArma) -> dict[str, str]:
     """What a learner has adopted, as `read_vehicle` takes it: values as text by the keys of the model's table."""
     table = _table(part)
     return {key: _toml(table[key]) for key in ("adopted", "slow", "frozen") if key in table}
+
+
+def changed(part: Any, keys: dict[str, Any], place: str) -> Any:
+    """A sensor with some keys of its table changed.
+
+    Parameters
+    ----------
+    part : Sensor
+    keys : dict
+        As they stand in a file, perhaps with another unit: ``mounting_deg``.
+    place : str
+        For messages.
+
+    Raises
+    ------
+    VehicleError
+        For a key that it has not, or a value that it cannot have.
+    """
+    kind: Any = type(part)
+    spec, table = _spec_of(kind, _kinds()), _table(part)
+    for key, value in keys.items():
+        table.pop(plain_key(key, set(spec.model_fields))[0], None)
+        table[key] = list(value) if isinstance(value, tuple) else value
+    wrong: list[tuple[str, str]] = []
+    data = tomllib.loads("\n".join(f"{key} = {_toml(value)}" for key, value in table.items()))
+    found = _built(validate(spec, data, Path(place), VehicleError), place, wrong, {})
+    if wrong:
+        raise VehicleError("; ".join(f"{where}: {text}" for where, text in wrong) + ".")
+    return found
 
 
 # --- classes -> tables ----------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from navfilter.io.learned_toml import write_learned
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.tracks.formats import FORMATS, write_track
 from navfilter.io.tracks.tum import write_truth
+from navfilter.models.during import is_alias
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
@@ -25,6 +26,12 @@ from navfilter.track.track import Track
 from navfilter.track.trust import integrity_figures
 
 __all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
+
+
+#: Version of the layout of summary.json: it rises where a key changes its meaning or goes, not where one is new.
+SCHEMA = 1
+#: Where ``summary.schema.json`` stands.
+ROOM = Path(__file__).parent
 
 
 def labelled(track: Track) -> dict[str, Track]:
@@ -104,7 +111,9 @@ def learned_vehicle(track: Track) -> Vehicle | None:
             key = f"{unit}.{name}" if unit in track.vehicle.imus else name
             if unit != DEAD_RECKONING:
                 last[key] = models[0] if len(models) == 1 else models
-    return track.vehicle.with_error(**last) if last else None
+    last = {name: models for name, models in last.items() if not is_alias(name)}
+    known = track.vehicle.without(*(name for name in track.vehicle.sensors if is_alias(name)))
+    return known.with_error(**last) if last else None
 
 
 def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
@@ -160,9 +169,9 @@ def write_summary(
     tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
 ) -> Path:
     """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes
-    null.
+    null. Its first key says by which version of ``summary.schema.json`` of this folder it is laid out.
     """
-    return write_json({**summarise(tracks, mission), **(more or {})}, path)
+    return write_json({"schema": SCHEMA, **summarise(tracks, mission), **(more or {})}, path)
 
 
 def write_json(value: Any, path: str | os.PathLike[str]) -> Path:

@@ -19,6 +19,7 @@ from navfilter.foundation import utc
 from navfilter.foundation.arguments import needs, numbers, rows_of, short
 from navfilter.foundation.display import Value, often, span
 from navfilter.foundation.mapped_arrays import give_back
+from navfilter.models.during import During
 
 Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
@@ -182,6 +183,8 @@ class Mission(Value):
         Stretches of the mission clock that are worth evaluating; empty means all of it.
     epoch_utc_s : float or None
         UTC of mission time zero [s since 1970]: what gives tracks and their files dates. None: nobody knows.
+    during : tuple of During
+        Instructions for parts of it, see `navfilter.playback.instructions.instructed`.
     """
 
     name: str
@@ -193,6 +196,7 @@ class Mission(Value):
     notes: tuple[str, ...] = ()
     windows: tuple[tuple[float, float], ...] = ()
     epoch_utc_s: float | None = None
+    during: tuple[During, ...] = ()
 
     def __post_init__(self) -> None:
         needs("Mission.name", self.name, str)
@@ -322,6 +326,7 @@ class Mission(Value):
             "notes": self.notes,
             "windows": self.windows,
             "epoch_utc_s": self.epoch_utc_s,
+            "during": [dataclasses.asdict(one) for one in self.during],
         }
         arrays: dict[str, Any] = {"navfilter_mission": np.array(json.dumps(meta, default=_plain))}
         for number, stream in enumerate(self.streams.values()):

@@ -9,16 +9,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erfc, gammaincc
 
+from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.sensors import Sensor
 from navfilter.models.state import matrix_from_euler
 from navfilter.models.vehicle import Vehicle
+from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = ["Score", "Withheld", "score", "withhold"]
+__all__ = ["Drift", "Score", "Withheld", "drift", "score", "withhold"]
+
+#: So many of the fixes withheld are looked at, evenly in time [1]: the fewer, the longer the drift between them, and
+#: the less the errors of the fixes count beside it.
+LOOKS = 12
+#: Fewer are judged as surfacings [1].
+LEAST_LOOKS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +88,34 @@ class Score:
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values."""
         return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What fixes withheld say of the drift between them.
+
+    Attributes
+    ----------
+    sensor : str
+    count : int
+        Fixes that were looked at.
+    apart_s : float
+        Time from one to the next [s].
+    nis : float
+        Mean NIS per component, 1 is honest.
+    lasting : float
+        The mean innovation north or east, whichever is larger, in units of its sd: beyond 3 or so the drift goes on in
+        one direction for longer than vehicle.toml lets it.
+    chance : float
+        Probability of these two where vehicle.toml is right.
+    """
+
+    sensor: str
+    count: int
+    apart_s: float
+    nis: float
+    lasting: float
+    chance: float
 
 
 def withhold(
@@ -154,6 +191,68 @@ def score(track: Track, withheld: Withheld) -> Score | None:
         sd_m=float(np.sqrt(np.mean(S[:, 0, 0] + S[:, 1, 1]))),
         inside=float(np.mean(squared <= chi_square_limit(0.95, 2))),
     )
+
+
+def drift(vehicle: Vehicle, mission: Mission, withheld: Withheld) -> Drift | None:
+    """Test by the fixes withheld what a vehicle believes of its drift.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+        As it was replayed, without them.
+    withheld : Withheld
+
+    Returns
+    -------
+    Drift or None
+        None where the sensor gives no position, or too few of its fixes lie inside the run.
+
+    Notes
+    -----
+    Errors of one track at many fixes are nearly the same error, and their mean square says little. The likelihood of
+    the fixes is the product of that of each innovation in a run that gets them one after another, and these are white
+    (Schweppe, 1965). A few fixes far apart are taken, so that an innovation is drift rather than the error of a fix.
+    Their sum tells an error that lasts for longer than it should sooner than their squares do.
+    """
+    sensor = vehicle.sensors[withheld.sensor]
+    readings = withheld.readings
+    if sensor.gives != "position" or not len(readings):
+        return None
+    own = mission.streams[withheld.sensor]
+    good = np.array([sensor.read(value) is not None for value in readings.value]) & np.isfinite(readings.value[:, 1])
+    good &= readings.time_s >= (mission.begin_s if mission.start is None else mission.start.time_s)
+    times = readings.time_s[good]
+    if times.size < LEAST_LOOKS:
+        return None
+    apart_s = float(times[-1] - times[0]) / LOOKS
+    rows = [int(np.argmin(np.abs(times - t))) for t in times[0] + apart_s * np.arange(1, LOOKS + 1)]
+    looks = readings.keep(np.flatnonzero(good)[sorted(set(rows))])
+    level = looks.value.copy()
+    level[:, 2] = np.nan  # a height says nothing of the drift, nor does that of an antenna
+    if getattr(sensor, "antenna_height_m", None) is not None:
+        plain = dataclasses.replace(sensor, antenna_height_m=None)  # type: ignore[call-arg]
+        vehicle = dataclasses.replace(vehicle, sensors={**vehicle.sensors, withheld.sensor: plain})
+    both = _together(own, dataclasses.replace(looks, value=level))
+    r = replay(vehicle, mission.with_stream(withheld.sensor, both), output_rate_hz=0.1).residuals[withheld.sensor]
+    seen = np.isin(np.round(r.time_s + sensor.time_offset_s, 6), np.round(looks.time_s, 6))
+    seen &= r.used | (r.outcome == OUTCOMES.index("rejected"))
+    dof, count = float(r.dof[seen].sum()), int(np.count_nonzero(seen))
+    if count < LEAST_LOOKS or not dof:
+        return None
+    nis = float(r.nis[seen].sum())
+    lasting = float(np.abs(np.nansum(r.value[seen, :2] / r.sd[seen, :2], axis=0)).max() / np.sqrt(count))
+    # two tests, and two axes of the one
+    chance = 2.0 * min(float(gammaincc(0.5 * dof, 0.5 * nis)), 2.0 * float(erfc(lasting / np.sqrt(2.0))))
+    return Drift(withheld.sensor, count, apart_s, nis / dof, lasting, min(1.0, chance))
+
+
+def _together(one: Stream, other: Stream) -> Stream:
+    """Readings of one sensor in the order of their times."""
+    time_s = np.concatenate([one.time_s, other.time_s])
+    order = np.argsort(time_s, kind="stable")
+    sd = None if one.sd is None or other.sd is None else np.concatenate([one.sd, other.sd])[order]
+    return Stream(time_s[order], np.concatenate([one.value, other.value])[order], one.columns, sd)
 
 
 def _fixes(sensor: Sensor, readings: Stream, track: Track) -> NDArray[np.bool_]:

@@ -28,6 +28,7 @@ from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner
 from navfilter.navigation.track_assembly import bar, forward_track, smoothed_track
+from navfilter.playback.instructions import instructed
 from navfilter.track.track import Track
 
 __all__ = ["drive_samples", "identified", "learns", "replay", "replay_heard", "residual_series"]
@@ -82,7 +83,7 @@ def replay(
         When a stream is missing, empty, or the mission holds nothing after the start, for `iterate` where no sensor
         learns, and for a path that cannot be read.
     """
-    vehicle, mission = _read(vehicle, mission)
+    vehicle, mission = instructed(*_read(vehicle, mission))
     needs("replay: start", start, Start, type(None))
     if iterate:
         start = _start(vehicle, mission, start)

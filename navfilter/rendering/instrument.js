@@ -25,7 +25,54 @@
     sharing = true;
     shown = [range.start, range.end];
     for (const { time } of figures.values()) if (time && time !== range) time.setv({ start: range.start, end: range.end });
+    for (const figure of figures.values()) if (figure.plan) part(figure);
+    against();
     sharing = false;
+  }
+
+  // Rows of the run within the time that is shown; null where that is all of it.
+  function within() {
+    if (!shown) return null;
+    const [begin, end] = data.clock.range, rows = data.rows.time.keys();
+    if (shown[0] <= begin && shown[1] >= end) return null;
+    return [...rows].filter((k) => data.rows.time[k] >= shown[0] && data.rows.time[k] <= shown[1]);
+  }
+
+  // The plan shows the same part: marked, and as large as fits.
+  function part(figure) {
+    const { root } = figure, [east] = root.select("east"), [north] = root.select("north");
+    if (![east.start, east.end, north.start, north.end].every(Number.isFinite)) return;
+    figure.home ??= [east.start, east.end, north.start, north.end];
+    if (shown) east.have_updated_interactively = north.have_updated_interactively = true; // it would find its own extent
+    const rows = within(), x = rows?.map((k) => data.rows.east[k]) ?? [], y = rows?.map((k) => data.rows.north[k]) ?? [];
+    for (const glyph of root.select("zoomed")) glyph.data_source.data = { x, y };
+    const [left, right, low, high] = figure.home, aspect = (right - left) / (high - low);
+    if (!x.length) {
+      if (rows === null) { east.setv({ start: left, end: right }); north.setv({ start: low, end: high }); }
+      return;
+    }
+    const middle = (values) => 0.5 * (Math.min(...values) + Math.max(...values));
+    const wide = (values) => Math.max(1, 1.15 * (Math.max(...values) - Math.min(...values)));
+    const half = 0.5 * Math.max(wide(x), aspect * wide(y)), [across, up] = [middle(x), middle(y)];
+    east.setv({ start: across - half, end: across + half });
+    north.setv({ start: up - half / aspect, end: up + half / aspect });
+  }
+
+  // Any quantity against any other.
+  function against() {
+    const [x, y] = ["x", "y"].map((axis) => by(`select.any[data-axis=${axis}]`)[0]?.value);
+    if (!x || !y) return;
+    const rows = within() ?? [...data.rows.time.keys()];
+    const kept = rows.filter((k) => data.rows[x][k] !== null && data.rows[y][k] !== null);
+    for (const { root, any } of figures.values()) {
+      if (!any.length) continue;
+      const values = { x: kept.map((k) => data.rows[x][k]), y: kept.map((k) => data.rows[y][k]) };
+      any[0].data_source.data = values;
+      for (const plot of root.select({ type: "Figure" })) {
+        plot.below.filter((axis) => "axis_label" in axis.attributes).forEach((axis) => (axis.axis_label = data.names[x]));
+        plot.left.filter((axis) => "axis_label" in axis.attributes).forEach((axis) => (axis.axis_label = data.names[y]));
+      }
+    }
   }
 
   // A second axis (UTC, degrees) is offset + factor x its master.
@@ -103,7 +150,7 @@
     for (const part of parts(plot)) {
       const way = (part.tags ?? []).find((tag) => String(tag).startsWith("colour "));
       const wanted = !hidden.has(part.name) && (way === undefined || way === `colour ${colouring}`);
-      if (part.name !== "cursor" && part.name !== "here" && (part.name || way) && part.visible !== wanted) part.visible = wanted;
+      if (part.name !== "cursor" && part.name !== "here" && part.name !== "zoomed" && part.name !== "any" && (part.name || way) && part.visible !== wanted) part.visible = wanted;
     }
   }
 
@@ -138,7 +185,8 @@
     const root = views.roots[0].model, plots = root.select({ type: "Figure" });
     const time = root.select("time")[0] ?? null;
     const cursors = root.select("cursor"), here = root.select("here");
-    figures.set(number, { plots, time, cursors, here });
+    const any = root.select("any"), figure = { root, plots, time, cursors, here, any, plan };
+    figures.set(number, figure);
     place.closest("figure").classList.add("drawn");
     legend(place.parentElement.querySelector(".keys").firstChild, keys);
     if (time) {
@@ -148,6 +196,8 @@
     }
     follow(root, "longitude", "east");
     follow(root, "latitude", "north");
+    if (any.length) against();
+    if (plan) setTimeout(() => part(figure), 200); // once it has been laid out
     for (const plot of plots) {
       if (coarse) plot.toolbar.active_drag = null; // a finger scrolls the page until a tool is chosen
       const events = { mouseleave: [() => point(null)] };
@@ -175,6 +225,13 @@
     for (const button of by("input[name=colouring]")) button.addEventListener("change", () => { colouring = button.value; refresh(); });
   }
 
+  function menus() {
+    for (const select of by("select.any")) {
+      select.value = select.dataset.axis === "x" ? "travelled" : "rms";
+      select.addEventListener("change", against);
+    }
+  }
+
   // --- one sensor at a time ----------------------------------------------------------------------------------------
 
   function choose(name) {
@@ -199,6 +256,7 @@
   try {
     if (matchMedia("(min-width: 1100px)").matches) for (const contents of by("nav details")) contents.open = true;
     menu();
+    menus();
     await new Promise((painted) => requestAnimationFrame(() => setTimeout(painted)));
     const [library, text] = await Promise.all([unpacked("library"), unpacked("figures")]);
     const script = document.createElement("script");

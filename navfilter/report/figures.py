@@ -14,16 +14,19 @@ from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
+from navfilter.playback.backward import Apart
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Points, Stack, short
 from navfilter.rendering.thinning import broken
 from navfilter.track.track import Track
 
 __all__ = [
+    "BACKWARD",
     "NEES",
     "NIS",
     "TRUTH",
     "attitude_figure",
+    "backward_figure",
     "capped",
     "consistency_figure",
     "depth_figure",
@@ -51,6 +54,10 @@ SEPARATION = (
     "Forward minus smoothed track: what the later readings say against the earlier ones, with the band that honest "
     "tracks differ by. An error that lasts stays on one side; beyond three bands something pulls that vehicle.toml "
     "does not describe."
+)
+BACKWARD = (
+    "The run from beginning to end minus one from end to beginning, which have no reading in common. Where the "
+    "distance leaves the band on one side, one of the two met what vehicle.toml does not describe."
 )
 USED, REJECTED = "#0072b2", "#d55e00"
 
@@ -166,6 +173,24 @@ def separation_figure(forward: Track, smoothed: Track) -> Stack:
         )
         for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]"))
     ]
+    return Stack(tuple(panels))
+
+
+def backward_figure(apart: Apart) -> Stack:
+    """Forward minus backward run over time, with the standard deviation that independent runs differ by, and that of
+    the smoothed track.
+    """
+    hue, dash = colour(0)
+    values = np.column_stack([apart.north_m, apart.east_m, apart.down_m, np.degrees(apart.heading_rad)])
+    scale, panels = np.array([1.0, 1.0, 1.0, 180.0 / np.pi]), []
+    for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]")):
+        bands = [(apart.sd, "±1σ of both", hue)]
+        if apart.smoothed_sd is not None:
+            bands.append((apart.smoothed_sd, "±1σ smoothed", colour(1)[0]))
+        sds = [(scale[i] * sd[:, i], label, shade) for sd, label, shade in bands]
+        parts: list[Part] = [Band(apart.time_s, -sd, sd, label, shade) for sd, label, shade in sds]
+        parts.append(Line(apart.time_s, values[:, i], "forward - backward", hue, dash))
+        panels.append(Panel(name, tuple(parts), shape="symmetric", lines_at=(0.0,)))
     return Stack(tuple(panels))
 
 

@@ -5,26 +5,34 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
+from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure
 from bokeh.resources import Resources
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from navfilter.rendering.clock import Clock
-from navfilter.rendering.drawing import draw, style, svg
-from navfilter.rendering.page import Scripts, escape, figure_html, resource
-from navfilter.rendering.panels import Stack
+from navfilter.rendering.drawing import colour, draw, style, svg
+from navfilter.rendering.page import Scripts, Section, escape, figure_html, resource
+from navfilter.rendering.panels import Line, Panel, Stack
 from navfilter.report.figures import predicted_rms
-from navfilter.report.live import Live, live_stack
+from navfilter.report.live import Live, item_of, live_stack, plain, toolbox
 from navfilter.report.live_plan import COLOURINGS, live_plan
 from navfilter.report.plan_view import Plan, draw_plan
+from navfilter.report.state_figures import shown_states
 from navfilter.track.track import Track
 
 __all__ = ["Instrument"]
 
+ANY_HEIGHT = 380
+#: What is shown until something else is chosen.
+ANY_FIRST = ("travelled", "rms")
+ANY = "Any quantity of the run against any other, at rows of the part that figures over time show."
 #: The cursor knows the track at so many times.
 ROWS = 2000
 
@@ -46,7 +54,7 @@ class Instrument:
 
     def __init__(self, clock: Clock, track: Track, origin: Track, progress: Callable[[], Any] | None = None) -> None:
         self.clock = clock
-        self._rows = _rows(clock, track, origin)
+        self._rows, self._names = _rows(clock, track, origin)
         self._figures: list[dict[str, Any]] = []
         self._progress = progress
 
@@ -73,12 +81,31 @@ class Instrument:
             f'<div class="live" id="live-{number}" data-figure="{number}" style="min-height:{live.height_px}px"></div>'
         )
 
+    def any_section(self) -> Section:
+        """Any quantity of the run against any other; for print the predicted rms over the way."""
+        shown = any_figure(self._rows)
+        options = "".join(f'<option value="{escape(k)}">{escape(name)}</option>' for k, name in self._names.items())
+        menus = "".join(
+            f'<label>{side} <select class="any" data-axis="{side}">{options}</select></label>' for side in ("x", "y")
+        )
+        with style():
+            drawn = svg(draw(shown, self.clock))
+        number = len(self._figures)
+        self._figures.append({"item": any_item(), "keys": [], "plan": False})
+        place = (
+            f'<div class="choice">{menus}</div><div class="keys"><span></span></div><div class="live" '
+            f'id="live-{number}" data-figure="{number}" style="min-height:{ANY_HEIGHT}px"></div>'
+        )
+        return Section("Any against any", (figure_html(drawn, ANY, place),))
+
     def scripts(self) -> Scripts:
         """What makes the figures of the page live."""
         clock = self.clock
         utc = None if clock.utc_s is None else 1000.0 * (clock.utc_s + clock.zero_s)
         about = {"unit": clock.unit, "factor": clock.factor, "range": clock.range, "utc": utc}
-        figures = json.dumps({"figures": self._figures, "rows": self._rows, "clock": about}, separators=(",", ":"))
+        figures = json.dumps(
+            {"figures": self._figures, "rows": self._rows, "names": self._names, "clock": about}, separators=(",", ":")
+        )
         data = f'{_packed("library", library())}{_packed("figures", figures)}<output id="readout"></output>'
         return Scripts((resource("instrument.js"),), library(), data)
 
@@ -104,18 +131,76 @@ def _colouring() -> str:
     return f'<div class="choice">Colour by {chosen}</div>'
 
 
-def _rows(clock: Clock, track: Track, origin: Track) -> dict[str, list[float]]:
+def _rows(clock: Clock, track: Track, origin: Track) -> tuple[dict[str, list[float | None]], dict[str, str]]:
+    """Quantities of the run at some of its rows, and the names of those."""
     rows = np.unique(np.linspace(0, len(track) - 1, ROWS).astype(int))
     north, east = track.local(float(origin.latitude[0]), float(origin.longitude[0]))[rows, :2].T
+    sd, speeds = np.sqrt(np.maximum(np.diagonal(track.covariance[rows], axis1=1, axis2=2), 0.0)), track.velocity_n[rows]
     columns = {
-        "time": (clock(track.time_s[rows]), 5),
-        "east": (east, 2),
-        "north": (north, 2),
-        "latitude": (np.degrees(track.latitude[rows]), 6),
-        "longitude": (np.degrees(track.longitude[rows]), 6),
-        "depth": (-track.height[rows], 2),
-        "heading": (np.degrees(track.attitude[rows, 2]) % 360.0, 2),
-        "speed": (np.hypot(*track.velocity_n[rows, :2].T), 3),
-        "rms": (predicted_rms(track)[rows], 4),
+        "time": (clock.label, clock(track.time_s[rows]), 5),
+        "east": ("east [m]", east, 2),
+        "north": ("north [m]", north, 2),
+        "latitude": ("latitude [deg]", np.degrees(track.latitude[rows]), 6),
+        "longitude": ("longitude [deg]", np.degrees(track.longitude[rows]), 6),
+        "depth": ("depth [m]", -track.height[rows], 2),
+        "heading": ("heading [deg]", np.degrees(track.attitude[rows, 2]) % 360.0, 2),
+        "speed": ("speed [m/s]", np.hypot(*speeds[:, :2].T), 3),
+        "rms": ("predicted rms of the position [m]", predicted_rms(track)[rows], 4),
+        "travelled": ("distance travelled [m]", track.travelled()[rows], 2),
+        "roll": ("roll [deg]", np.degrees(track.attitude[rows, 0]), 3),
+        "pitch": ("pitch [deg]", np.degrees(track.attitude[rows, 1]), 3),
+        **{f"v{i}": (f"velocity {a} [m/s]", speeds[:, i], 4) for i, a in enumerate(("north", "east", "down"))},
+        "heading_sd": ("sd of the heading [deg]", np.degrees(sd[:, 8]), 4),
+        "up_sd": ("sd of the height [m]", sd[:, 2], 4),
     }
-    return {name: np.round(values, digits).tolist() for name, (values, digits) in columns.items()}
+    columns |= {f"state {n}": (f"{n} [{unit}]", v, 9) for n, unit, v in _states(track, rows)}
+    columns |= {
+        f"innovation {n}": (f"innovation of {n} [sd]", v, 3) for n, v in _innovations(track, track.time_s[rows])
+    }
+    found = {key: np.round(values, digits).tolist() for key, (_, values, digits) in columns.items()}
+    plain_rows = {key: [None if value != value else value for value in values] for key, values in found.items()}
+    return plain_rows, {key: plain(name) for key, (name, _, _) in columns.items()}
+
+
+def _states(track: Track, rows: NDArray[np.int64]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+    """The states worth showing."""
+    for state in shown_states(track.vehicle):
+        if state.name in track.state_names:
+            yield state.name, state.unit, state.factor * track.state(state.name)[0][rows]
+
+
+def _innovations(track: Track, time_s: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Of each axis of each sensor, the latest reading at these times, in units of what was predicted."""
+    for name, r in track.residuals.items():
+        if name not in track.vehicle.sensors or not len(r.time_s):
+            continue
+        for axis, title in enumerate(track.vehicle.sensors[name].axis_names):
+            good = np.flatnonzero(np.isfinite(r.value[:, axis]) & (r.sd[:, axis] > 0.0) & np.isfinite(r.sd[:, axis]))
+            if not good.size:
+                continue
+            last = np.searchsorted(r.time_s[good], time_s, side="right") - 1
+            values = r.value[good, axis][last] / r.sd[good, axis][last]
+            recent = (last >= 0) & (time_s - r.time_s[good][last] < 2.0 * max(1.0, np.median(np.diff(time_s))))
+            yield f"{name} {title}".strip(), np.where(recent, values, np.nan)
+
+
+def any_figure(rows: Mapping[str, list[float | None]]) -> Stack:
+    """For print: the predicted rms over the way."""
+    x, y = (np.array([np.nan if v is None else v for v in rows[key]], dtype=float) for key in ANY_FIRST)
+    return Stack((Panel("predicted rms [m]", (Line(x, y, "", colour(0)[0]),)),), 2.2, x_label="distance travelled [m]")
+
+
+def any_item() -> dict[str, Any]:
+    """The live one, which `instrument.js` fills."""
+    plot = figure(
+        height=ANY_HEIGHT, sizing_mode="stretch_width", toolbar_location="above", lod_threshold=None, **toolbox("both")
+    )
+    plot.toolbar.logo = None
+    source = ColumnDataSource({"x": [], "y": []})
+    hue = colour(0)[0]
+    plot.line("x", "y", source=source, line_color=hue, line_alpha=0.35, name="any")
+    plot.scatter("x", "y", source=source, size=4, color=hue, fill_alpha=0.6, line_color=None, name="any")
+    plot.axis.axis_label_text_font_style = "normal"
+    plot.grid.grid_line_color = "#e3e3e3"
+    plot.outline_line_color = None
+    return item_of(plot)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import short
 from navfilter.report.figures import TRUTH
 from navfilter.report.live import Key, Live, item_of, plain, toolbox
-from navfilter.report.plan_view import Plan, PlanRun
+from navfilter.report.plan_view import CHART_ALPHA, Plan, PlanRun
 
 __all__ = ["COLOURINGS", "live_plan"]
 
@@ -49,6 +50,9 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
     """
     plot = _plot(plan)
     keys = []
+    if plan.chart is not None:
+        _chart(plot, plan)
+        keys.append(Key("chart", "#999999", "band"))
     for name, fixes in plan.fixes.items():
         label = f"{short(name)} fixes used"
         east, north = fixes.T.astype(np.float32)
@@ -56,7 +60,7 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
         keys.append(Key(label, FIX, "points"))
     for number, run in enumerate(plan.runs):
         hue, _ = colour(number)
-        _path(plot, run, hue)
+        _path(plot, run, hue, plan.shape)
         keys.append(Key(run.label, hue, "line"))
     if len(plan.truth):
         east, north = plan.truth[:: max(1, len(plan.truth) // PIECES)].T.astype(np.float32)
@@ -69,9 +73,11 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
             [last.east[k]], [last.north[k]], marker=marker, size=8, line_color=END, fill_color="white", name=name
         )
         keys.append(Key(name, END, "points"))
+    zoomed = ColumnDataSource({"x": [], "y": []})
+    plot.line("x", "y", source=zoomed, line_color="#d7191c", line_width=4, line_alpha=0.5, name="zoomed")
     here = ColumnDataSource({"x": [], "y": []})
     plot.scatter("x", "y", source=here, size=13, line_color="#d7191c", line_width=2.5, fill_color=None, name="here")
-    return Live(item_of(plot), [*keys, Key("95 % ellipse", "#555555", "line")], HEIGHT)
+    return Live(item_of(plot), [*keys, Key(plan.shape, "#555555", "line")], HEIGHT)
 
 
 def _plot(plan: Plan) -> Any:
@@ -111,7 +117,21 @@ def _plot(plan: Plan) -> Any:
     return plot
 
 
-def _path(plot: Any, run: PlanRun, hue: str) -> None:
+def _chart(plot: Any, plan: Plan) -> None:
+    """The chart under everything; the picture stands in the page."""
+    assert plan.chart is not None
+    west, east, south, north = plan.chart_edges()
+    url = f"data:image/png;base64,{base64.b64encode(plan.chart.png).decode()}"
+    plot.image_url(
+        *([url], [west], [south], [east - west], [north - south]),
+        anchor="bottom_left",
+        alpha=CHART_ALPHA,
+        level="image",
+        name="chart",
+    )
+
+
+def _path(plot: Any, run: PlanRun, hue: str, shape: str) -> None:
     step = max(1, len(run.east) // PIECES)
     east, north = run.east[::step].astype(np.float32), run.north[::step].astype(np.float32)
     line = plot.line(east, north, color=hue, line_width=2, name=run.label)
@@ -119,7 +139,7 @@ def _path(plot: Any, run: PlanRun, hue: str) -> None:
     shapes = [(s.east, s.north, s.width, s.height, s.angle) for s in run.ellipses]
     columns = dict(zip(("x", "y", "width", "height", "angle"), map(list, zip(*shapes, strict=True)), strict=True))
     source = ColumnDataSource(columns)
-    how: dict[str, Any] = {"line_color": hue, "fill_color": None, "name": "95 % ellipse", "level": "underlay"}
+    how: dict[str, Any] = {"line_color": hue, "fill_color": None, "name": shape, "level": "underlay"}
     plot.ellipse("x", "y", "width", "height", "angle", source=source, **how)
 
 

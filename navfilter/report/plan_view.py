@@ -4,8 +4,10 @@ for print.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
 from navfilter.rendering.panels import short
+from navfilter.report.chart import Chart, chart_of
 from navfilter.report.figures import TRUTH, capped, predicted_rms
 from navfilter.track.track import Track
 
@@ -32,6 +35,11 @@ Array = NDArray[np.float64]
 ELLIPSE_95 = float(np.sqrt(chi_square_limit(0.95, 2)))
 #: So many points of a path are drawn.
 POINTS = 4000
+#: Axes of an ellipse that differ by less than this share make a circle.
+ROUND = 0.05
+#: A chart is paler than what stands on it [1].
+CHART_ALPHA = 0.75
+_PLACE = ("latitude", "longitude")
 
 
 @dataclass(frozen=True)
@@ -73,6 +81,8 @@ class Plan:
         Of the zero point.
     north_deg, east_deg : float
         Degrees of latitude and longitude per metre there.
+    chart : Chart or None
+        Under the track.
     """
 
     runs: tuple[PlanRun, ...]
@@ -82,9 +92,25 @@ class Plan:
     longitude_deg: float
     north_deg: float
     east_deg: float
+    chart: Chart | None = None
+
+    @property
+    def shape(self) -> str:
+        """What holds the vehicle with 95 %: as long as they look like circles, these are called so."""
+        all_round = all(abs(s.width - s.height) < ROUND * s.width for run in self.runs for s in run.ellipses)
+        return "95 % circle" if all_round else "95 % ellipse"
+
+    def chart_edges(self) -> tuple[float, float, float, float]:
+        """Of the chart, west, east, south, north [m] from the zero point."""
+        assert self.chart is not None
+        sides = [(deg - self.longitude_deg) / self.east_deg for deg in (self.chart.west, self.chart.east)]
+        ends = [(deg - self.latitude_deg) / self.north_deg for deg in (self.chart.south, self.chart.north)]
+        return sides[0], sides[1], ends[0], ends[1]
 
 
-def plan_view(tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16) -> Plan:
+def plan_view(
+    tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16, tiles: str | os.PathLike[str] | None = None
+) -> Plan:
     """Collect what the plan view shows.
 
     Parameters
@@ -94,6 +120,8 @@ def plan_view(tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16)
         For truth and fixes.
     ellipses : int
         About so many per run, at equal steps of time.
+    tiles : path-like, optional
+        For a chart under the track, see `navfilter.report.chart.chart_of`.
     """
     first = next(iter(tracks.values()))
     origin = (float(first.latitude[0]), float(first.longitude[0]))
@@ -107,6 +135,10 @@ def plan_view(tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16)
         true = _local(mission.truth, origin, (first.time_s[0], first.time_s[-1]))
     step = 1e-5
     per_rad = _metres(np.array([[origin[0] + step, origin[1] + step]]), origin)[0] / step
+    chart = None
+    if tiles is not None:
+        latitude, longitude = (np.degrees(np.concatenate([getattr(t, a) for t in tracks.values()])) for a in _PLACE)
+        chart = chart_of(Path(tiles), latitude.min(), longitude.min(), latitude.max(), longitude.max())
     return Plan(
         tuple(_run(label, track, origin, ellipses) for label, track in tracks.items()),
         true[:: max(1, len(true) // POINTS)],
@@ -115,6 +147,7 @@ def plan_view(tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16)
         longitude_deg=float(np.degrees(origin[1])),
         north_deg=float(np.degrees(1.0 / per_rad[1])),
         east_deg=float(np.degrees(1.0 / per_rad[0])),
+        chart=chart,
     )
 
 
@@ -162,6 +195,8 @@ def draw_plan(plan: Plan) -> Figure:
     height = float(np.clip(WIDTH_IN * 0.9 * north / east, 3.2, 7.0)) + 0.7
     figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
     ax = figure.subplots()
+    if plan.chart is not None:
+        ax.imshow(plan.chart.picture, extent=plan.chart_edges(), zorder=0, alpha=CHART_ALPHA)
     for name, fixes in plan.fixes.items():
         cross: dict[str, Any] = {"color": "#888888", "markersize": 4, "markeredgewidth": 0.7, "zorder": 1.5}
         ax.plot(*fixes.T, "+", label=f"{short(name)} fixes used", **cross)
@@ -186,7 +221,7 @@ def draw_plan(plan: Plan) -> Figure:
     handles, labels = ax.get_legend_handles_labels()
     handles.append(Line2D([], [], marker="o", linestyle="", markerfacecolor="none", color="#555555"))
     ax.legend(
-        handles, [*map(no_formula, labels), "95 % ellipse"], loc="best", frameon=True, framealpha=0.85, edgecolor="none"
+        handles, [*map(no_formula, labels), plan.shape], loc="best", frameon=True, framealpha=0.85, edgecolor="none"
     )
     return figure
 

@@ -54,6 +54,8 @@ def write_report(
     path: str | os.PathLike[str],
     progress: Callable[[], Any] | None = None,
     assessment: Assessment | None = None,
+    beside: Tracks | None = None,
+    tiles: str | os.PathLike[str] | None = None,
 ) -> Path:
     """Write `render_report` to a file.
 
@@ -68,9 +70,13 @@ def write_report(
         Called after each figure.
     assessment : Assessment, optional
         Default: as `navfilter.evaluation.assessment.assess` makes it.
+    beside : dict of str to Track, optional
+        Other runs by label, shown with these over time and from above.
+    tiles : path-like, optional
+        For a chart under the track, see `navfilter.report.chart.chart_of`.
     """
     path = Path(path)
-    text = render_report(tracks, mission, progress, assessment)
+    text = render_report(tracks, mission, progress, assessment, beside, tiles)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     part.replace(path)
@@ -82,6 +88,8 @@ def render_report(
     mission: Mission,
     progress: Callable[[], Any] | None = None,
     assessment: Assessment | None = None,
+    beside: Tracks | None = None,
+    tiles: str | os.PathLike[str] | None = None,
 ) -> str:
     """One HTML page with tables and figures. It loads nothing: what makes the figures live is inside, and without
     scripts they are there all the same.
@@ -90,6 +98,10 @@ def render_report(
     summary = summarise(tracks, mission)
     assessment = assessment or assess(tracks, mission)
     instrument = Instrument(clock_of(tracks, mission), result, first, progress)
+    *others, last = tracks
+    shown = {**{label: tracks[label] for label in others}, **(beside or {}), last: tracks[last]}
+    if not others:  # what is first says where metres count from
+        shown = {last: tracks[last], **(beside or {})}
     reading = [list_html(assessment.lines())]
     if assessment.evidence.surfacings:
         reading += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
@@ -98,7 +110,8 @@ def render_report(
         Section("Result", (table_html(*headline_rows(tracks, mission)), f"<p>{_reading(mission)}</p>")),
         Section("What the readings say of the track", tuple(reading)),
         *_constants(assessment.lights),
-        *_over_time(tracks, mission, instrument, assessment),
+        *_over_time(tracks, shown, mission, instrument, assessment, tiles),
+        instrument.any_section(),
         *_learnt(assessment.learnt),
         *sensor_sections(tracks, assessment.learnt, instrument),
         Section("Readings", (table_html(*sensor_rows(result)), _notes(result, mission))),
@@ -111,28 +124,43 @@ def render_report(
 # --- figures with their captions ------------------------------------------------------------------------------------
 
 
-def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessment: Assessment) -> Iterator[Section]:
-    """The sections with the figures of the whole run."""
+def _over_time(
+    tracks: Tracks,
+    shown: Tracks,
+    mission: Mission,
+    instrument: Instrument,
+    assessment: Assessment,
+    tiles: str | os.PathLike[str] | None,
+) -> Iterator[Section]:
+    """The sections with the figures of the whole run; some show other runs beside it."""
     truth = mission.truth
     noted = marks(list(tracks.values())[-1], assessment.evidence.surfacings, assessment.learnt)
 
     def drawn(stack: Stack, caption: str) -> str:
         return instrument.figure(replace(stack, marks=noted), caption)
 
-    caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses: fixes that were used."
-    yield Section("Track", (instrument.figure(plan_view(tracks, mission), caption),))
+    plan = plan_view(shown, mission, tiles=tiles)
+    kind = "Circles" if plan.shape.endswith("circle") else "Ellipses"
+    caption = f"{kind} hold the vehicle with 95 % probability, if the filter is honest. Crosses: fixes that were used."
+    caption += " A zoom in a figure over time shows its part here." + (
+        " Chart: from the tiles given." * (plan.chart is not None)
+    )
+    yield Section("Track", (instrument.figure(plan, caption),))
     caption = "Height over time, under water minus the depth, with its 1-sigma band; horizontal speed."
-    turned = drawn(figures.attitude_figure(tracks, mission), "Attitude of the vehicle.")
-    yield Section("Depth, speed, attitude", (drawn(figures.depth_figure(tracks, mission), caption), turned))
-    errors = figures.position_figure(tracks, truth)
+    turned = drawn(figures.attitude_figure(shown, mission), "Attitude of the vehicle.")
+    yield Section("Depth, speed, attitude", (drawn(figures.depth_figure(shown, mission), caption), turned))
+    errors = figures.position_figure(shown, truth)
     divided = " The lowest panel divides by the distance travelled so far." if len(errors.panels) > 3 else ""
     caption = f"{_band_caption(truth, slice(0, 2))}{divided}"
     yield Section("Position error", (drawn(errors, caption),))
     caption = _band_caption(truth, slice(8, 9))
-    yield Section("Heading error", (drawn(figures.heading_figure(tracks, truth), caption),))
+    yield Section("Heading error", (drawn(figures.heading_figure(shown, truth), caption),))
     result = list(tracks.values())[-1]
     if result.forward is not None:
         yield Section("Separation", (drawn(figures.separation_figure(result.forward, result), figures.SEPARATION),))
+    if assessment.apart is not None:
+        both = drawn(figures.backward_figure(assessment.apart), figures.BACKWARD)
+        yield Section("Forward and backward", (f"<p>{escape(str(assessment.apart))}.</p>", both))
     yield from _trusted(tracks, truth, instrument)
     yield from _lanes(list(tracks.values())[-1], instrument)
     nees = None if truth is None else figures.consistency_figure(tracks, truth)

@@ -42,13 +42,15 @@ def sensor_table(track: Track) -> str:
 
 
 def headline_rows(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:
-    """Header and rows of `headline_table`."""
+    """Header and rows of `headline_table`; a figure that no run has is left out."""
     runs = summarise(tracks, mission)["runs"]
     rows = [
         [label, *(number_text(run[key], form) for _, key, form in HEADLINES), number_text(_mean_nis(run), "{:.2f}")]
         for label, run in runs.items()
     ]
-    return ["", *(name for name, _, _ in HEADLINES), "NIS"], rows
+    header = ["", *(name for name, _, _ in HEADLINES), "NIS"]
+    told = [i for i in range(len(header)) if not i or any(row[i] != number_text(None, "") for row in rows)]
+    return [header[i] for i in told], [[row[i] for i in told] for row in rows]
 
 
 def _mean_nis(run: Mapping[str, Any]) -> float | None:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-__all__ = ["ROWS", "pieces", "replacing", "replacing_binary", "replacing_tree"]
+__all__ = ["ROWS", "pieces", "replaced_by", "replacing", "replacing_binary", "replacing_tree"]
 
 #: Rows that are worked on at a time: a long track costs no second one in memory.
 ROWS = 5_000
@@ -38,6 +38,15 @@ def _part(path: Path) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def replaced_by(folder: Path) -> Iterator[Path]:
+    """A place for files that are moved to a folder, each whole, once all are there."""
+    with tempfile.TemporaryDirectory(prefix=".navfilter-", dir=folder) as beside:
+        yield Path(beside)
+        for file in sorted(Path(beside).iterdir()):
+            file.replace(folder / file.name)
 
 
 @contextmanager

@@ -96,6 +96,8 @@ FORMATS: tuple[TrackFormat, ...] = (
     TrackFormat(".kml", "Google Earth: track with times and sd", "kml", place=True),
     TrackFormat(".kmz", "the same in a tenth of the room", "kml", place=True),
     TrackFormat(".gpx", "chart plotters and GPS tools: track with times", "gpx", place=True),
+    TrackFormat(".gpkg", "GIS: GeoPackage with the line, and its rows as points with time and sd", "gis", place=True),
+    TrackFormat(".shp", "GIS and charting: the same as shapefiles", "gis", "shapefile", "gis", place=True),
     TrackFormat(".mcap", "Foxglove, PlotJuggler: odometry, fix, NIS and health of sensors", "ros", "rosbags", "ros"),
     TrackFormat(".rosbag", "the same as a ROS 2 bag, for 'ros2 bag play'", "ros", "rosbags", "ros"),
     TrackFormat(".sbet", "survey software (multibeam, lidar): Applanix's SBET", "sbet", utc=True, place=True),
@@ -111,8 +113,8 @@ def write_track(track: Track, path: str | os.PathLike[str], mission: Mission | N
     ----------
     track : Track
     path : path-like
-        One of .csv, .tum, .geojson, .kml, .kmz, .gpx, .mcap, .rosbag (a folder), .sbet, .mat, .nc. What is there is
-        replaced, whole.
+        One of .csv, .tum, .geojson, .kml, .kmz, .gpx, .gpkg, .shp, .mcap, .rosbag (a folder), .sbet, .mat, .nc. What is
+        there is replaced, whole.
     mission : Mission, optional
         Puts truth and fixes beside the track in a .geojson.
 
