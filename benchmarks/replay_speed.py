@@ -18,7 +18,7 @@ from harness import CPU, DEG, Array, Options, Table, flag, hour, in_turn, main, 
 
 import navfilter as nf
 from navfilter.kernels import strapdown
-from navfilter.learning import open_loop_series
+from navfilter.learning.axis_learner import Learner
 
 #: What is compared: ours, filterpy, python-ins.
 WORK = {
@@ -133,7 +133,7 @@ def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turn
 
 def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Any]:
     """What learning adds, and how much of it the learners take."""
-    spent, hop = [0.0], open_loop_series.hop_together
+    spent, hop = [0.0], Learner.hop
 
     def timed(*given: Any) -> Any:
         began = time.thread_time()
@@ -144,7 +144,7 @@ def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Missio
     nf.replay(vehicle, mission)
     if nf.replay(learning, mission).counts["given-up"]:
         print("what is learnt is given up under way: this is not the price of learning")
-    open_loop_series.hop_together = timed
+    Learner.hop = timed  # type: ignore[method-assign]
     table = Table("turn>4d plain_s>9.2f learning_s>10.2f looks_s>9.2f adds>6.2f")
     for turn in range(turns):
         spent[0] = 0.0
@@ -164,7 +164,7 @@ def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Missio
                 "adds": adds,
             }
         )
-    open_loop_series.hop_together = hop
+    Learner.hop = hop  # type: ignore[method-assign]
     return {"table": table.rows, "learning_adds": float(np.median([row["adds"] for row in table.rows]))}
 
 

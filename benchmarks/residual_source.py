@@ -38,9 +38,8 @@ import numpy as np
 from harness import Array, Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.learning.arma_fit import fit_channel
+from navfilter.learning.arma_fit import fit_channel, zero_frequency
 from navfilter.learning.open_loop_series import ChannelSeries
-from navfilter.learning.zero_frequency import zero_frequency
 from navfilter.models.error_models import ErrorModel, block_level
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.navigation_drift import Drift

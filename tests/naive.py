@@ -1290,13 +1290,47 @@ def carry_feedback(undone, Phi):
     undone[9:m] = Phi[9:, 9:] @ undone[9:m]
 
 
+def judge_level(ear, nis, dof):
+    """ear: kind, noted, capacity, due, factor, level, then the odds of seven levels."""
+    levels, odds = 2.0 ** np.arange(7), ear[6:13]
+    before = (1.0 - 4e-5) * odds + 4e-5 / 7
+    log = np.log(before) - 0.5 * (dof * np.log(levels) + ear[5] * min(nis, 9.0 * dof) / levels)
+    odds[:] = np.exp(log - np.logaddexp.reduce(log))
+
+
 def after_reading(ear, nis, dof, ticks, learning):
-    """ear: kind, noted, capacity, due, watched, share, nis, judged, usual, mount. True: a change, or ticks enough."""
+    """ear: as above, then mount. True: another level, or ticks enough."""
     ear[1] += len(range(int(ear[2]))[: max(ticks - 1, 0)]) + 1
-    watched = learning and ear[4] and dof and np.isfinite(nis)
-    if watched:
-        ear[6] = (1.0 - ear[5]) * ear[6] + ear[5] * min(nis / dof, 25.0)
-    return bool(watched and ear[1] >= ear[7] and not 0.4 < ear[6] / ear[8] < 2.0) or bool(learning and ear[1] >= ear[3])
+    if not learning:
+        return False
+    changed = False
+    if ear[4] and dof and np.isfinite(nis):
+        judge_level(ear, nis, dof)
+        changed = not 1.0 / ear[4] <= ear[6:13] @ 2.0 ** np.arange(7) / ear[5] <= ear[4]
+    return bool(changed or ear[1] >= ear[3])
+
+
+def sum_likelihood(y, length, skipped, F, Q, C, P, r):
+    """One filter with a sum beside its states, tick by tick."""
+    n, total, count, done = len(C), 0.0, 0, 0
+    x, cov = np.zeros(n + 1), np.zeros((n + 1, n + 1))
+    cov[:n, :n] = P
+    move, add, noise = np.eye(n + 1), np.eye(n + 1), np.zeros((n + 1, n + 1))
+    move[:n, :n], add[n, :n], noise[:n, :n] = F, C, Q
+    for first in range(0, y.size - length + 1, length):
+        stretch = y[first : first + length]
+        for value in stretch:
+            x, cov = move @ x, move @ cov @ move.T + noise
+            if np.isfinite(value):
+                x, cov = add @ x, add @ cov @ add.T
+        read = np.isfinite(stretch).sum()
+        if read:
+            S, e = cov[n, n] + read * r, np.nansum(stretch) - x[n]
+            if done >= skipped:
+                total, count = total - 0.5 * (e**2 / S + np.log(S)), count + 1
+            x, cov, done = x + cov[:, n] * e / S, cov - np.outer(cov[:, n], cov[:, n]) / S, done + 1
+        x[n] = cov[n] = cov[:, n] = 0.0
+    return total, count
 
 
 def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):

@@ -358,9 +358,11 @@ def test_the_predicted_reading_does_not_jump():
         ({"prior": nf.White(sd=1.0) + LearnedArma()}, "prior"),
         ({"model": ArmaModel([-1.0], [], 1.0)}, "stable.*1.0000"),
         ({"model": ArmaModel([-2.0, 1.1], [], 1.0)}, "stable"),
-        ({"model": ArmaModel([], [], 1.0), "slow": nf.White(sd=1.0)}, "Gauss-Markov"),
+        ({"model": ArmaModel([], [], 1.0), "slow": nf.Arma(ar=(-0.5,), sd=1.0)}, "Gauss-Markov"),
         ({"model": ArmaModel([], [], 1.0), "slow": SLOW + nf.RandomWalk(density=1.0)}, "Gauss-Markov"),
         ({"slow": SLOW}, "slow.*model"),
+        ({"slow": nf.White(sd=1.0)}, "slow.*model"),
+        ({"model": ArmaModel([], [], 1.0), "level": 0.0}, "level"),
     ],
 )
 def test_impossible_descriptions_are_refused(wrong, says):

@@ -4,22 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import navfilter as nf
 from navfilter.evaluation.baselines import rivals
-from navfilter.learning.axis_learner import Learner
 from navfilter.learning.consistency import CONTRADICTED, ConsistencyRecord, stretched
-from navfilter.learning.fast_prior import quick_description
-from navfilter.learning.slow_prior import slow_prior
-from navfilter.models.learned_arma import DEFAULT_ORDERS
 from navfilter.models.mission import Stream
-from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.simulate import simulate
-from navfilter.timeseries.model import ArmaModel
 
 DEG, FIXED_S, RATE_HZ = np.pi / 180.0, 42.0, 10.0
 SEEDS, MANY = range(51, 57), range(51, 75)
@@ -135,77 +128,6 @@ def test_errors_that_go_with_the_motion_are_no_noise():
     assert given_up.sum() >= 6
     assert np.median(ratio) < 1.3
     assert nees.mean() < 1.5
-
-
-# --- what a file without slow errors says ----------------------------------------------------------------------------
-
-QUICK = nf.White(sd=0.05) + nf.GaussMarkov(sd=0.1, tau_s=1.0)
-
-
-def described(model=QUICK):
-    return quick_description(model, 0.1, 400.0, nf.BodyVelocity.prior)
-
-
-def test_only_descriptions_of_quick_colour_are_quick():
-    assert described() is not None
-    assert described(nf.White(sd=0.05)) is None
-    assert described(QUICK + nf.GaussMarkov(sd=0.001, tau_s=100.0)) is None
-    assert described(nf.BodyVelocity.prior) is None
-
-
-def test_readings_contradict_it_that_show_more():
-    phi, quick = np.exp(-0.1), described()
-    assert quick.holds(ArmaModel([-phi], [], 0.1 * np.sqrt(1.0 - phi**2), None, None, 1000.0))
-    assert quick.holds(ArmaModel([], [], 0.005, None, None, 1000.0))
-    assert not quick.holds(ArmaModel([-phi], [], 0.15 * np.sqrt(1.0 - phi**2), None, None, 1000.0))
-    swing = ArmaModel([-1.95 * np.cos(0.1), 0.9506], [], 0.01, None, None, 1000.0)
-    assert not quick.holds(swing)
-
-
-SWING = nf.Arma(ar=(0.69, 0.7365), sd=0.0015) + nf.White(sd=0.002)
-
-
-@pytest.mark.parametrize("model", [QUICK, SWING, nf.GaussMarkov(sd=0.1, tau_s=0.5, order=2) + QUICK])
-def test_a_description_of_many_parts_is_one_process(model):
-    """Its autocovariance, by a long run of its impulse response, is the sum of those of its parts."""
-    arma = described(model).arma
-    response = lfilter([1.0, *arma.ma], [1.0, *arma.ar], np.eye(1, 4000)[0]) * arma.sd
-    found = [response[: 4000 - lag] @ response[lag:] for lag in range(30)]
-    wanted, parts = np.zeros(30), model.parts
-    for block in (part.block(0.1) for part in parts):
-        wanted[0] += block.r
-        state = block.P0 @ block.C
-        for lag in range(30 if block.size else 0):
-            wanted[lag] += block.C @ state
-            state = block.Phi @ state
-    assert np.allclose(found, wanted, rtol=0.0, atol=1e-9 * wanted[0])
-
-
-def test_parts_that_rounding_makes_another_process_are_said_to_be_none():
-    smooth = sum((nf.GaussMarkov(sd=0.1, tau_s=tau_s, order=2) for tau_s in (1.0, 0.2)), start=QUICK)
-    rough = nf.GaussMarkov(sd=0.1, tau_s=2.0, order=2)
-    assert described(smooth).arma is not None
-    assert quick_description(smooth + rough, 0.01, 500.0, nf.BodyVelocity.prior).arma is None
-
-
-def contradicted(truth, count, seed):
-    """Whether readings that err like this contradict a description as `SWING`."""
-    prior, quick = (make(SWING, 1.0, 500.0, *kind) for make, kind in MADE)
-    learner = Learner(DEFAULT_ORDERS, 4000, Drift((1e-4, 0.0), 1.0), prior=prior, quick=quick)
-    learner.hop(draw_error(truth, 1.0, count, seed, "dvl", 0))
-    return learner.memory.contradicted
-
-
-MADE = (slow_prior, ()), (quick_description, (nf.BodyVelocity.prior,))
-
-
-def test_a_few_readings_do_not_contradict_what_they_are_drawn_from():
-    """Of two minutes the smallest order is the best one, and white noise has more power at low frequencies than a swing
-    has: 17 of 20 were said to contradict it, and a slow error was believed for all of the dive.
-    """
-    assert sum(contradicted(SWING, 120, seed) for seed in range(20)) <= 1
-    slow = SWING + nf.GaussMarkov(sd=0.005, tau_s=15.0)
-    assert sum(contradicted(slow, 120, seed) for seed in range(20)) >= 19
 
 
 # --- what stretches tell of constants --------------------------------------------------------------------------------

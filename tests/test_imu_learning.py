@@ -13,11 +13,11 @@ from feeding import DRIVE, delayed, events_of, in_blocks, one_by_one
 import navfilter as nf
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
+from navfilter.learning.arma_fit import zero_frequency
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.model_reduction import hand_over, plainer
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.static_recorder import RestRecorder
-from navfilter.learning.zero_frequency import zero_frequency
 from navfilter.models.error_models import RandomWalk, Sum
 from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
 from navfilter.models.mechanisation import ACCEL_PRIOR, GYRO_PRIOR

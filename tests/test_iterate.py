@@ -12,9 +12,9 @@ import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
+from navfilter.learning.arma_fit import zero_frequency
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.batch import change
-from navfilter.learning.zero_frequency import zero_frequency
 from navfilter.models.error_models import block_level
 from navfilter.models.learned_arma import LearnedArma, learned_part, learning_part
 from navfilter.models.navigation_drift import Drift

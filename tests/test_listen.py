@@ -31,30 +31,70 @@ def test_carry():
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
+def ear(random, level=1.0):
+    """One that watches the level, with odds of its own."""
+    out = np.zeros(open_loop_residual.EAR)
+    out[[open_loop_residual.CAPACITY, open_loop_residual.DUE, open_loop_residual.NOTED]] = (
+        20,
+        random.integers(90),
+        random.integers(20),
+    )
+    out[[open_loop_residual.ANOTHER, open_loop_residual.LEVEL]] = 2.0, level
+    odds = random.exponential(size=len(open_loop_residual.LEVELS)) ** 3
+    out[open_loop_residual.ODDS : open_loop_residual.MOUNT] = odds / odds.sum()
+    return out
+
+
 @pytest.mark.parametrize("learning", [True, False])
-@pytest.mark.parametrize("usual", [1.0, 0.2])
-def test_attend(usual, learning):
+@pytest.mark.parametrize("level", [1.0, 5.0])
+def test_attend(level, learning):
     rng = np.random.default_rng(3)
     told = []
-    for _ in range(200):
-        ear = np.zeros(open_loop_residual.EAR)
-        ear[[open_loop_residual.CAPACITY, open_loop_residual.DUE, open_loop_residual.JUDGED]] = (
-            20,
-            rng.integers(90),
-            rng.integers(40),
-        )
-        ear[[open_loop_residual.NOTED, open_loop_residual.WATCHED, open_loop_residual.USUAL]] = (
-            rng.integers(20),
-            rng.integers(2),
-            usual,
-        )
-        ear[[open_loop_residual.SHARE, open_loop_residual.NIS]] = 0.1, usual * rng.uniform(0.2, 4.0)
+    for k in range(200):
+        heard = ear(rng, level)
+        heard[open_loop_residual.ANOTHER] *= k % 2
         nis = math.nan if rng.random() < 0.1 else rng.exponential(40.0)
-        args = ear, nis, float(rng.integers(4)), int(rng.integers(1, 40)), learning
+        args = heard, nis, float(rng.integers(4)), int(rng.integers(1, 40)), learning
         ours, twins = run_both(open_loop_residual.after_reading, *args)
-        assert_close([ours[0]], [twins[0]], 1e-15)
-        told.append(open_loop_residual.after_reading(ear, *args[1:]))
+        assert_close([ours[0]], [twins[0]], 1e-12)
+        told.append(open_loop_residual.after_reading(heard, *args[1:]))
     assert not any(told) if not learning else 20 < sum(told) < 180
+
+
+def test_levels_by_bayes_rule():
+    rng = np.random.default_rng(5)
+    for dof in (1.0, 2.0, 3.0):
+        args = ear(rng, 3.0), rng.exponential(10.0), dof
+        ours, twins = run_both(open_loop_residual.judge_level, *args)
+        assert_close([ours[0]], [twins[0]], 1e-12)
+        assert ours[0][open_loop_residual.ODDS : open_loop_residual.MOUNT].sum() == pytest.approx(1.0)
+
+
+def levels(scale, seed):
+    """In force after each reading, of white innovations of so many times the believed standard deviation."""
+    heard, found = ear(np.random.default_rng(seed)), []
+    odds = slice(open_loop_residual.ODDS, open_loop_residual.MOUNT)
+    heard[odds], heard[open_loop_residual.DUE] = np.eye(len(open_loop_residual.LEVELS))[0], math.inf
+    for sd, e in zip(scale, np.random.default_rng(seed).standard_normal(len(scale)), strict=True):
+        level = heard[open_loop_residual.LEVEL]
+        if open_loop_residual.after_reading(heard, (sd * e) ** 2 / level, 1.0, 1, True):
+            heard[open_loop_residual.LEVEL] = heard[odds] @ open_loop_residual.LEVELS
+        found.append(heard[open_loop_residual.LEVEL])
+    return np.array(found)
+
+
+def test_a_level_follows_at_once_and_comes_back():
+    """Noise that trebles for a minute at 8 Hz; a spike, and noise that is smaller than believed, are no other level."""
+    trebled = np.repeat([1.0, 3.0, 1.0], [2000, 480, 2000])
+    for seed in range(10):
+        found = levels(trebled, seed)
+        assert np.mean(found[:2000] > 1.0) < 0.01  # by chance, for a moment
+        assert np.all((found[2080:2480] > 4.0) & (found[2080:2480] < 20.0))  # ten seconds later
+        assert np.mean(found[2600:] > 2.0) < 0.01
+        spike = np.ones(600)
+        spike[500] = 100.0
+        assert levels(spike, seed)[500] == 1.0
+        assert np.all(levels(np.full(1000, 0.3), seed) == 1.0)
 
 
 @pytest.mark.parametrize("used", [True, False])

@@ -176,7 +176,7 @@ def test_every_key_of_vehicle_toml_is_described(heading):
     fields = own_fields(cls)
     if cls is LearnedArma:
         fields["adopted"] = fields.pop("model")
-        del fields["spectrum"]  # for reports: not in files
+        del fields["spectrum"], fields["level"]  # for reports, and of the moment: not in files
     documented = {plain_key(key, fields): cell for key, cell in keys("vehicle-toml.md", heading).items()}
     assert {name for name, _ in documented} == set(fields)
     for (name, factor), cell in documented.items():

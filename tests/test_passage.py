@@ -16,7 +16,7 @@ from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import measurement
 from navfilter.kernels.compiling.addresses import named
-from navfilter.learning import consistency, open_loop_series
+from navfilter.learning import consistency
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation import runner
 from navfilter.playback.replay import _replayed
@@ -121,14 +121,13 @@ def test_in_stretches_as_one_by_one(smooth, defects, monkeypatch):
 
 @pytest.mark.parametrize("defects", [False, True])
 def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
-    """Early models, the beginning done again, hops, a change of the error, a sensor that is stuck."""
+    """Early models, the beginning done again, hops, another level of the error, a sensor that is stuck."""
     vehicle, mission = survey(100.0)
     learned = nf.LearnedArma(orders=[(0, 0), (1, 0)], window=400, hop=100)
     vehicle = vehicle.with_error(compass=learned, dvl=learned, depth=learned)
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (15.0, 30.0))
     monkeypatch.setattr(LearningSchedule, "REVISED_S", 40.0)
     monkeypatch.setattr(LearningSchedule, "ANOTHER", 0.01)
-    monkeypatch.setattr(open_loop_series, "PROBATION_S", 10.0)
     monkeypatch.setattr(consistency, "WORSE", np.inf)  # whatever the fixes say
     if defects:
         mission = with_defects(mission)
@@ -150,7 +149,7 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
     assert_same(together.forward, alone.forward)
     assert differences(nav.memory, other.memory) == []
     assert differences(nav.sensor_monitors, other.sensor_monitors) == []
-    assert bool(nav.learning.memory.listeners["compass"].since) == defects
+    assert (nav.learning.memory.listeners["compass"].level > 1.0) == defects
 
 
 def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):

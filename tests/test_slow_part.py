@@ -91,14 +91,16 @@ def test_the_prior_comes_from_the_vehicle_file():
     assert slow_prior(swing, 0.125, 500.0).tau_s == pytest.approx(500.0 / 50.0)
 
 
-def test_what_was_described_and_is_not_seen_is_where_readings_cannot_tell():
-    described = GaussMarkov(sd=0.4, tau_s=20.0) + nf.White(sd=0.3)
-    seen, hidden = (slow_prior(described, PERIOD_S, 300.0, is_hidden) for is_hidden in (False, True))
-    assert hidden.is_hidden and not seen.is_hidden
-    # variances add up to that of the description, and no median is below the usual one
-    assert hidden.beside(0.13).median * 0.4 == pytest.approx(math.sqrt(0.25 - 0.13))
-    assert hidden.beside(0.09).median == hidden.beside(0.001).median == 1.0
-    assert hidden.beside(0.24).median == hidden.beside(9.0).median == hidden.median
+def test_a_slow_error_that_is_not_described_is_unlikely_and_has_the_power_that_is():
+    """At zero frequency, beside white noise and beside what is quicker than any slow error."""
+    kind = nf.GaussMarkov(sd=0.01, tau_s=30.0)
+    white = slow_prior(nf.White(sd=0.1), 0.25, 500.0, kind=kind)
+    quick = slow_prior(nf.GaussMarkov(sd=0.1, tau_s=1.0), 0.25, 500.0, kind=kind)
+    assert white.absent == quick.absent == 0.95
+    assert (white.tau_s, quick.tau_s) == pytest.approx((60.0, 10.0), rel=1e-4)
+    assert 2.0 * white.sd**2 * white.tau_s == pytest.approx(0.1**2 * 0.25)
+    # the slow part of a description is twice as slow as the whole
+    assert quick.sd**2 * quick.tau_s == pytest.approx(0.1**2 * 2.0, rel=0.01)
 
 
 def test_fixes_whose_error_is_all_slow_are_believed_as_described():
@@ -329,8 +331,6 @@ def test_a_prior_that_is_known_is_believed_as_it_stands():
     # S(0) of the sampled process tells the time
     assert (prior.median * prior.sd, prior.tau_s) == pytest.approx((0.02, 30.0), rel=1e-4)
     assert (prior.spread, prior.tau_spread) == pytest.approx((math.log(2.0), math.log(3.0)))
-    # what the fast part holds of a known error is not taken off it
-    assert prior.beside(0.04**2).median == 1.0
     # of an error that is quicker than any slow one it says nothing
     quick = nf.GaussMarkov(sd=0.02, tau_s=3.0)
     assert slow_prior(quick, 0.25, 500.0, within=(2.0, 3.0)) == slow_prior(quick, 0.25, 500.0)

@@ -185,7 +185,7 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
     ):
         fast = _registers(old.model, new.model)
         slow = _slow_parts(old.slow_parts, new.slow_parts, period_s)
-        return _beside(fast[0], slow[0]), _beside(fast[1], slow[1])
+        return _beside(fast[0], slow[0]), new.level * _beside(fast[1], slow[1])
     if not (before.size and after.size):
         return np.zeros((after.size, before.size)), after.P0
     # both have a present error; what of the old one was white is not in its states

@@ -51,15 +51,15 @@ kernels.bias_glr, kernels.listen kernels.open_loop_residual, kernels.past kernel
 kernels.compiling.registers, kernels.scatter kernels.noise_scale, kernels.shifts kernels.bias_drift, kernels.stretch
 kernels.batch, kernels.text kernels.number_text, known_calls kernels.compiling.type_cache, lane_clock
 models.lane_clock, lane_missions models.lane_missions, lane_replay navigation.lanes.replay, lane_tracks
-navigation.lanes.tracks, lanes navigation.lanes.navigator, learning.alike learning.hierarchical_prior, learning.belief
+navigation.lanes.tracks, lanes navigation.lanes.navigator, learning.belief
 learning.setup, learning.bias learning.model_reduction, learning.conflict learning.consistency, learning.drift
 models.navigation_drift, learning.effort learning.settings, learning.fit learning.arma_fit, learning.kept
 learning.input_buffer, learning.learned models.learned_arma, learning.learner learning.axis_learner, learning.learnt
 learning.learned_model, learning.limits models.window_limits, learning.listener learning.open_loop_series,
-learning.listener_memory learning.series_memory, learning.low_frequency learning.zero_frequency, learning.nearest
-learning.moment_matching, learning.posterior learning.slow_posterior, learning.quick learning.fast_prior,
+learning.listener_memory learning.series_memory, learning.low_frequency learning.arma_fit, learning.nearest
+learning.moment_matching, learning.posterior learning.slow_posterior,
 learning.refit learning.batch, learning.rest learning.static_recorder, learning.slow learning.slow_prior,
-learning.spectrum models.spectrum, learning.starts learning.initial_values, learning.unseen learning.white_prior,
+learning.spectrum models.spectrum, learning.starts learning.initial_values,
 learning.worker learning.background, magnetic models.magnetic, mapped foundation.mapped_arrays, mechanisation
 models.mechanisation, mechanisation.coasting models.mechanisation.dead_reckoning_lane, mechanisation.dead_reckoning
 models.mechanisation.dead_reckoning, mechanisation.imu models.mechanisation.imu, mechanisation.mechanisation

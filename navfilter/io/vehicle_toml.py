@@ -41,7 +41,7 @@ Kinds = tuple[type, ...]
 #: Fields whose name in a file is another one: `model` is taken by the kind of the error.
 _IN_FILES: dict[tuple[type, str], str] = {(LearnedArma, "model"): "adopted"}
 #: Fields that do not stand in a file: what a report draws can be learnt again.
-_NOT_IN_FILES = {(LearnedArma, "spectrum")}
+_NOT_IN_FILES = {(LearnedArma, "spectrum"), (LearnedArma, "level")}
 #: What an adopted model consists of in a file: lists for arrays.
 _ADOPTED: dict[str, Any] = {
     "ar": tuple[float, ...],

@@ -652,13 +652,13 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     if (plain and not _plain_reading(z, facts[LARGEST], read)) or not _is_in_order(
         bench, plan, i, time_s, facts[DIVE_S]
     ):
-        return REFUSED, 0.0, 0, 0.0
+        return REFUSED, 0.0, 0
     a, errors, verdict = own[0], own[5], own[MEM] + own[VERDICT]
     noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
     if kept_readings >= 0:
         at, first = kept_readings % heads.shape[0], kept_values % heads.shape[0]
         if at == 0 or first == 0 or first + z.size > heads.shape[0]:
-            return REFUSED, 0.0, 0, 0.0
+            return REFUSED, 0.0, 0
         row = heads[at]
         for j in range(z.size):
             values[first + j, 0] = z[j]
@@ -675,7 +675,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     note = bench[verdict : verdict + 3 + a]
     if not used:
         facts[TICKED] = count
-        return JUDGED, note[0], int(note[1]), 0.0
+        return JUDGED, note[0], int(note[1])
     noted[TAKEN_S] = time_s
     _note_used(figures, time_s, note[0], note[1], nav)
     if undone.size > 0:
@@ -691,8 +691,8 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
         if kind != open_loop_residual.NOTHING and open_loop_residual.after_reading(
             ear, note[0], note[1], count, learning
         ):
-            return LEARN, note[0], int(note[1]), ear[open_loop_residual.NIS]
-    return DONE, note[0], int(note[1]), ear[open_loop_residual.NIS]
+            return LEARN, note[0], int(note[1])
+    return DONE, note[0], int(note[1])
 
 
 @apart

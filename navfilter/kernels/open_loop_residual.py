@@ -28,35 +28,66 @@ UNCOUNTED: dict = {"_nrt": False}
 
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
-# its ring, ticks by which there is something to do; whether it is watched for a change of its error, by which share a
-# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged, what it usually is; elements of
-# `mount`.
-KIND, NOTED, CAPACITY, DUE, WATCHED, SHARE, NIS, JUDGED, USUAL, MOUNT = range(10)
+# its ring, ticks by which there is something to do; by which factor its level must differ to be another one (0: it is
+# not watched), the level in force, the probability of each of `LEVELS`; elements of `mount`.
+KIND, NOTED, CAPACITY, DUE, ANOTHER, LEVEL, ODDS = range(7)
+# An error may be so many times as large as its model, as a variance [1]: by twos, up to eight times the sd.
+LEVELS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+MOUNT = ODDS + len(LEVELS)
 # First in a `mount`, before the rows that turn the body's axes to the instrument's: a velocity below which nothing is
 # learnt [m/s], how long a reading waits [s], which of the sensor's parameters is its clock (-1: none), rows of the
 # ring; whether it is asked how well its readings are predicted.
 STILL, LEAD_S, CLOCK, ROWS, ASKED, AXES = range(6)
 EAR = MOUNT + AXES + 9
-# A change is noticed when the mean NIS has left these limits, in units of what it usually is [1]: it is the one-step
-# likelihood of the model in force, and a variance wrong by two is more than what a posterior leaves open. A single
-# reading counts up to the last number: a spike is no change.
-CALM_LEAST, CALM_MOST, NIS_MOST = 0.4, 2.0, 25.0
+# The level changes from one reading to the next with this probability [1]: in 50 minutes at 8 Hz. Ten times as often,
+# it is changed four times as often, and errors are the same.
+CHANGES = 4e-5
+# A single reading counts up to this NIS per component where levels are told apart: three standard deviations of the
+# level in force, or a spike would be another level for a moment; and where fixes are judged [1].
+MOST, NIS_MOST = 9.0, 25.0
 # A matrix is diagonal when what stands beside its diagonal is less than this, squared, of what stands there [1].
 EVEN = 1e-24
+
+
+@njit(cache=True, **UNCOUNTED)
+def _is_another(ear):
+    """Whether the mean level is another one than that in force."""
+    mean = 0.0
+    for k in range(len(LEVELS)):
+        mean += ear[ODDS + k] * LEVELS[k]
+    return mean > ear[ANOTHER] * ear[LEVEL] or mean * ear[ANOTHER] < ear[LEVEL]
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def judge_level(ear, nis, dof):
+    """Bayes' rule for the probabilities of the levels, of which any may follow: innovations have a covariance that goes
+    as the level.
+    """
+    largest, total = -math.inf, 0.0
+    seen = ear[LEVEL] * min(nis, MOST * dof)
+    for k in range(len(LEVELS)):
+        largest = max(largest, -0.5 * (dof * math.log(LEVELS[k]) + seen / LEVELS[k]))
+    for k in range(len(LEVELS)):
+        before = (1.0 - CHANGES) * ear[ODDS + k] + CHANGES / len(LEVELS)
+        ear[ODDS + k] = before * math.exp(-0.5 * (dof * math.log(LEVELS[k]) + seen / LEVELS[k]) - largest)
+        total += ear[ODDS + k]
+    for k in range(len(LEVELS)):
+        ear[ODDS + k] /= total
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
 def after_reading(ear, nis, dof, ticks, learning):
-    """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error seems
-    to have changed, or enough ticks have been noted.
+    """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error has
+    another level, or enough ticks have been noted.
     """
     ear[NOTED] += 1.0 + min(max(ticks - 1.0, 0.0), ear[CAPACITY])
     if not learning:
         return False
-    if ear[WATCHED] != 0.0 and dof > 0.0 and math.isfinite(nis):
-        ear[NIS] += ear[SHARE] * (min(nis / dof, NIS_MOST) - ear[NIS])
-        if ear[NOTED] >= ear[JUDGED] and not CALM_LEAST * ear[USUAL] < ear[NIS] < CALM_MOST * ear[USUAL]:
+    if ear[ANOTHER] != 0.0 and dof > 0.0 and math.isfinite(nis):
+        judge_level(ear, nis, dof)
+        if _is_another(ear):
             return True
     return ear[NOTED] >= ear[DUE]
 

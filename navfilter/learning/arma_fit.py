@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.learning.initial_values import cold_starts, grown_starts, padded_start, padded_starts
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.zero_frequency import log_s0_spread
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import CLIP
 from navfilter.timeseries.diagnostics import whiteness
@@ -27,12 +26,24 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.order_criterion import Choice
 from navfilter.timeseries.roots import is_stable
 
-__all__ = ["ChannelFit", "fit_channel"]
+__all__ = ["ChannelFit", "fit_channel", "zero_frequency"]
 
 Array = NDArray[np.float64]
 
 #: What a channel's fit is judged by: as in `ArmaBank`.
 CHANNEL_CHOICE = Choice()
+
+
+def zero_frequency(model: ArmaModel) -> float:
+    """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
+    return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
+
+
+def _log_s0_spread(theta: Array, p: int, covariance: Array) -> float:
+    """Standard deviation of ``ln S(0) = 2 (ln sd + ln C(1) - ln A(1))`` from the covariance of ``[ar, ma, ln sd]``."""
+    a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
+    g = 2.0 * np.r_[np.full(p, -1.0 / a1), np.full(theta.size - 1 - p, 1.0 / c1), 1.0]
+    return float(math.sqrt(max(float(g @ covariance @ g), 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +162,7 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
         theta[p:-1],
         math.exp(theta[-1]) / likelihood.unit,
         covariance[:-1, :-1],
-        log_s0_spread(theta, p, covariance),
+        _log_s0_spread(theta, p, covariance),
         float(n),
         flags,
     )

@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
 
-from navfilter.learning.fast_prior import ShortCorrelationPrior
-from navfilter.learning.hierarchical_prior import alike
 from navfilter.learning.initial_values import cold_starts, grown_starts, padded_starts, with_slow_parts
-from navfilter.learning.learned_model import LearnedModel, fast_model, learnt_from
+from navfilter.learning.learned_model import LearnedModel, learnt_from
 from navfilter.learning.learner_memory import LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_posterior import DEAD, SlowPosterior, denied, follow
 from navfilter.learning.slow_prior import SlowPrior
-from navfilter.learning.white_prior import SlowErrorEvidence, WhitePriorTest
-from navfilter.models.error_models import GaussMarkov
+from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.timeseries.order_criterion import criterion
 
-__all__ = ["AxisFit", "Learner", "LearnerMemory", "hop_together"]
+__all__ = ["AxisFit", "Learner", "LearnerMemory"]
 
 Array = NDArray[np.float64]
 
@@ -36,31 +32,18 @@ class AxisFit(NamedTuple):
 
     Attributes
     ----------
-    series : ndarray, shape (N,)
     likelihood : Likelihood
     point : Point
         The fast part, beside the slow one where the learner has a prior of that.
     posterior : SlowPosterior or None
     n : int
         Samples that count.
-    plain : LearnedModel or None
-        What is handed out instead, as a description without slow parts has it.
-    prior : SlowPrior or None
-        Of the slow part, given the fast one.
     """
 
-    series: Array
     likelihood: Likelihood
     point: Point
     posterior: SlowPosterior | None
     n: int
-    plain: LearnedModel | None = None
-    prior: SlowPrior | None = None
-
-    @property
-    def is_coloured(self) -> bool:
-        """Whether the fast part is not white."""
-        return self.point.theta.size > 1 + 2 * bool(self.point.slow)
 
 
 class Learner:
@@ -82,10 +65,8 @@ class Learner:
         Variance of known white noise in the series.
     prior : SlowPrior, optional
         Of the slow part; without one the error has none.
-    described : WhitePriorTest, optional
-        Where there is no such prior: what stays believed of low frequencies.
-    quick : ShortCorrelationPrior, optional
-        Where the prior is that of a description without slow parts: what it says as long as readings bear it out.
+    described : ErrorModel, optional
+        What stays a hypothesis beside what is learnt, see `navfilter.learning.mixture`.
 
     Raises
     ------
@@ -109,8 +90,7 @@ class Learner:
         *,
         white: float = 0.0,
         prior: SlowPrior | None = None,
-        described: WhitePriorTest | None = None,
-        quick: ShortCorrelationPrior | None = None,
+        described: ErrorModel | None = None,
     ) -> None:
         self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
         if not self.orders or min(min(order) for order in self.orders) < 0:
@@ -120,7 +100,8 @@ class Learner:
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
-        self.described, self.quick = described if prior is None else None, None if prior is None else quick
+        parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
+        self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
         self._memory = LearnerMemory({}, {}, {}, 0, 0, {}, 0)
 
     @property
@@ -137,23 +118,6 @@ class Learner:
                     f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}."
                 )
         self._memory = memory
-
-    def forget(self) -> None:
-        """The error has changed: what was found serves as a start, and is no evidence any longer."""
-        memory, plain = self._memory, self._plain()
-        if plain is not None:
-            plain.forget()
-        known = None if plain is None else plain.memory
-        self._memory = LearnerMemory(memory.thetas, {}, {}, memory.turn, 0, {}, 0, known, memory.contradicted)
-
-    def _plain(self) -> Learner | None:
-        """One that learns the same as the description has it, without a slow part."""
-        if self.quick is None or self._memory.contradicted:
-            return None
-        plain = Learner(self.orders, self.window, self.drift, white=self.white, described=self.quick.low)
-        if self._memory.plain is not None:
-            plain.memory = self._memory.plain
-        return plain
 
     def hop(self, series: ArrayLike, fresh: int | None = None) -> LearnedModel | None:
         """Learn from the last `window` samples (fewer at first).
@@ -175,10 +139,11 @@ class Learner:
         ValueError
             For a series that is not one-dimensional.
         """
-        return hop_together([self], [series], fresh)[0]
+        found = self.look(series, fresh)
+        return None if found is None else mixed(learnt_from(*found), found.posterior, found.likelihood, self.described)
 
     def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
-        """The first part of a hop, see there: what is found in the series by itself."""
+        """What a hop finds in the series, see there."""
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
@@ -188,8 +153,7 @@ class Learner:
         if not able:
             return None
         try:
-            slowest_s = math.inf if self.described is None else self.described.slowest_s
-            likelihood = Likelihood(y, self.drift, self.white, self.prior, slowest_s=slowest_s)
+            likelihood = Likelihood(y, self.drift, self.white, self.prior)
         except ValueError:
             return None
         fresh = y.size if fresh is None else fresh
@@ -204,52 +168,14 @@ class Learner:
         scores = {order: self._score(point, n) for order, point in fits.items()}
         best = min(scores, key=lambda order: scores[order])
         point, tried = self._smooth(likelihood, fits, scores, best, n)
-        posterior = prior = None
+        posterior = None
         if self.prior is not None:
-            prior = self.prior
-            if prior.is_hidden:
-                prior = prior.beside(fast_model(likelihood, point, n).variance)
             forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
-            posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting, prior)
+            posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
             if first > 0 and self._contradicted(likelihood, point, posterior):
-                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0, prior)
+                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
         self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
-        return AxisFit(y, likelihood, point, posterior, n, self._as_described(y, fresh), prior)
-
-    def _as_described(self, series: Array, fresh: int) -> LearnedModel | None:
-        """What is learnt where slow errors are as unlikely as the description has them, while readings bear it out."""
-        plain = self._plain()
-        if plain is None or self.quick is None or (look := plain.look(series, fresh)) is None:
-            return None
-        denied = self.quick.is_denied(look.likelihood, plain._score(look.point, look.n))
-        if denied and not self.quick.holds(fast_model(look.likelihood, look.point, look.n)):
-            self._memory = replace(self._memory, plain=None, contradicted=True)
-            return None
-        self._memory, doubt = replace(self._memory, plain=plain.memory), plain.doubts(look)
-        return plain.say(look, doubt, 0.0 if doubt is None else float(expit(doubt.gain)))
-
-    def doubts(self, look: AxisFit) -> SlowErrorEvidence | None:
-        """What speaks for a slow error that was not described; None where one was, or nothing is known of its kind."""
-        if self.described is None:
-            return None
-        return self.described.doubt(look.point, look.series, self.drift, self.white)
-
-    def say(self, look: AxisFit, doubt: SlowErrorEvidence | None, present: float) -> LearnedModel:
-        """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability
-        of `present`.
-        """
-        series, likelihood, point, posterior, n, plain, _ = look
-        if plain is not None:
-            return plain
-        if doubt is not None:
-            posterior = doubt.posterior.given(present)
-            if present > 0.5:
-                likelihood, point = doubt.likelihood, doubt.point
-        learnt = learnt_from(likelihood, point, posterior, n)
-        if self.described is None:
-            return learnt
-        unseen = self.described.unseen(learnt.model, series, self.drift, self.white)
-        return learnt._replace(slow=max(learnt.slow, unseen, key=_power))
+        return AxisFit(likelihood, point, posterior, n)
 
     def _contradicted(self, likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
         """Whether earlier evidence, which was given another fast part, does not go with this window: both together lead
@@ -355,61 +281,5 @@ class Learner:
         smooth = {} if tried is None else {tried[0]: kept(*tried)}
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
-        lines, known = {} if posterior is None else posterior.lines, (memory.plain, memory.contradicted)
-        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown, *known)
-
-
-def _power(parts: Sequence[GaussMarkov]) -> float:
-    """Of slow parts at zero frequency, but for a factor."""
-    return sum(part.sd**2 * part.tau_s for part in parts)
-
-
-def hop_together(
-    learners: Sequence[Learner | None], series: Sequence[ArrayLike | None], fresh: int | None = None
-) -> list[LearnedModel | None]:
-    """A hop of all axes of a sensor, see `Learner.hop`.
-
-    Those with the same prior have like slow errors, see `navfilter.learning.hierarchical_prior`.
-
-    Where the readings of one are not as white as was described, slow errors are doubted of each that was described like
-    this: they all have one, or none has.
-
-    Parameters
-    ----------
-    learners : sequence of Learner or None
-    series : sequence of array_like or None
-        One for each.
-    fresh : int, optional
-
-    Returns
-    -------
-    list of LearnedModel or None
-        None, too, where there is no learner or no series.
-    """
-    pairs = [
-        (learner, None if learner is None or one is None else learner.look(one, fresh))
-        for learner, one in zip(learners, series, strict=True)
-    ]
-    pairs = _told_by_others(pairs)
-    doubted = any(learner and learner.described and look and look.is_coloured for learner, look in pairs)
-    doubts = [learner.doubts(look) if learner and look and doubted else None for learner, look in pairs]
-    present = float(expit(sum(doubt.gain for doubt in doubts if doubt is not None)))
-    return [
-        None if learner is None or look is None else learner.say(look, doubt, present)
-        for (learner, look), doubt in zip(pairs, doubts, strict=True)
-    ]
-
-
-def _told_by_others(pairs: list[tuple[Learner | None, AxisFit | None]]) -> list[tuple[Learner | None, AxisFit | None]]:
-    """The looks of all axes, those that are described alike with what the others say of their slow errors."""
-    axes: dict[SlowPrior, list[int]] = {}
-    for axis, (learner, look) in enumerate(pairs):
-        if learner and learner.prior and look and look.posterior:
-            axes.setdefault(learner.prior, []).append(axis)
-    for same in axes.values():
-        looks = [look for _, look in (pairs[axis] for axis in same) if look is not None]
-        found = [(look.posterior, look.prior) for look in looks]
-        told = alike([(posterior, prior) for posterior, prior in found if posterior and prior])
-        for axis, look, posterior in zip(same, looks, told, strict=True):
-            pairs[axis] = pairs[axis][0], look._replace(posterior=posterior)
-    return pairs
+        lines = {} if posterior is None else posterior.lines
+        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from navfilter.learning.axis_learner import hop_together
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.learning.setup import learner_of, with_learnt
 from navfilter.models.error_models import ErrorModel
@@ -52,14 +51,13 @@ def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) 
 
 
 def _fitted(sensor: Sensor, channels: Sequence[ChannelSeries]) -> tuple[ErrorModel, ...]:
-    learners = [
-        None
-        if part is None or channel.value.size < least_window(sum(part.orders[0]))
-        else learner_of(part, sensor, channel.drift, channel.white, channel.value.size)
-        for part, channel in zip(map(learning_part, sensor.models), channels, strict=True)
-    ]
-    learnt = hop_together(learners, [channel.value for channel in channels])
-    return tuple(with_learnt(model, one, frozen=True) for model, one in zip(sensor.models, learnt, strict=True))
+    fitted = []
+    for model, channel in zip(sensor.models, channels, strict=True):
+        part, found, size = learning_part(model), None, channel.value.size
+        if part is not None and size >= least_window(sum(part.orders[0])):
+            found = learner_of(part, sensor, channel.drift, channel.white, size).hop(channel.value)
+        fitted.append(with_learnt(model, found, frozen=True))
+    return tuple(fitted)
 
 
 def change(before: Vehicle, after: Vehicle) -> float:

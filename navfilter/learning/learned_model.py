@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.moment_matching import slow_psd
 from navfilter.learning.slow_posterior import SlowPosterior
-from navfilter.models.error_models import GaussMarkov
+from navfilter.models.error_models import ErrorModel
 from navfilter.models.spectrum import Spectrum, log_spread
 from navfilter.timeseries.model import ArmaModel
 
@@ -31,14 +31,15 @@ class LearnedModel(NamedTuple):
     ----------
     model : ArmaModel
         The fast part; its `sd_log_s0` is that of the whole error.
-    slow : tuple of GaussMarkov
-        The slow part: at most two processes that carry its posterior mean covariance.
+    slow : tuple of ErrorModel
+        What stands beside it: at most two Gauss-Markov processes that carry the mean covariance of the slow part, and
+        white noise where the description has some.
     spectrum : Spectrum
         Of the whole error, with its uncertainty.
     """
 
     model: ArmaModel
-    slow: tuple[GaussMarkov, ...]
+    slow: tuple[ErrorModel, ...]
     spectrum: Spectrum
 
 

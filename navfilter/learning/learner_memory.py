@@ -37,10 +37,6 @@ class LearnerMemory:
         As `thetas`, with a slow part of second order: of the order that it was tried with last.
     grown : int
         As `heard`, when the larger orders were last begun from smaller ones.
-    plain : LearnerMemory or None
-        Of the same without a slow part, where none was described.
-    contradicted : bool
-        Whether readings have contradicted such a description: it is not believed any more.
     """
 
     thetas: dict[Order, Array]
@@ -50,8 +46,6 @@ class LearnerMemory:
     heard: int
     smooth: dict[Order, Array]
     grown: int
-    plain: LearnerMemory | None = None
-    contradicted: bool = False
 
 
 class Remembers(Protocol):

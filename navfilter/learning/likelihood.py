@@ -46,8 +46,6 @@ class Likelihood:
         Of the slow part; without one there is none, and poles are only kept where the series can tell them from 1.
     clip : float
         Innovations beyond this many standard deviations are clipped.
-    slowest_s : float
-        Poles are at least this quick, by their natural frequency [s]; default: as the prior has it.
 
     Raises
     ------
@@ -62,7 +60,6 @@ class Likelihood:
         white: float,
         prior: SlowPrior | None = None,
         clip: float = CLIP,
-        slowest_s: float = math.inf,
     ) -> None:
         known = series[np.isfinite(series)]
         if known.size < drift.order + 8:
@@ -80,13 +77,13 @@ class Likelihood:
         # A diffuse level takes up any constant: without it, arithmetic is with small numbers.
         self.y = np.ascontiguousarray(series - (known[0] if diffuse else 0.0)) * self.unit
         self.drift, self.prior = drift, prior
-        self._chain = drift_chain(drift, self.unit)
-        r = self._chain.shape[1]
+        self.chain = drift_chain(drift, self.unit)
+        r = self.chain.shape[1]
         self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in range(3)]
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
-        nearest = drift.period_s / (slowest_s if prior is None else prior.quickest_s)
+        nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
         self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
         if prior is not None:
             sizes = np.log(prior.sd_limits) + self.log_unit
@@ -133,7 +130,7 @@ class Likelihood:
         self, rows: Array, p: int, slow: int, belief: Array, first: int = 0, E: Array = _UNWANTED, V: Array = _UNWANTED
     ) -> Array:
         values = np.empty(len(rows))
-        fixed = self._chain, self._sees[slow], self.rules
+        fixed = self.chain, self._sees[slow], self.rules
         kernel.channel_values(self.y, rows, p, slow, *fixed, belief, first, E, V, values)
         return values
 
@@ -160,7 +157,7 @@ class Likelihood:
         if len(beside):
             rows[k + 1 :] = beside
         values, info, gradient = np.empty(len(rows)), np.empty((k, k)), np.empty(k)
-        fixed = self._chain, self._sees[slow], self.rules, self._beliefs[slow], _DIFFERENCES, *self._noted(k + 1)
+        fixed = self.chain, self._sees[slow], self.rules, self._beliefs[slow], _DIFFERENCES, *self._noted(k + 1)
         kernel.channel_point(self.y, rows, p, slow, *fixed, values, info, gradient)
         return Point(theta, p, slow, float(values[0]), gradient, info), values[k + 1 :].tolist()
 

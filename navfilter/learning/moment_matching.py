@@ -48,12 +48,12 @@ def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
     truth = variance @ slow_psd(order, np.ones(tau.size), tau, frequency) / total
     share, quick = (one.ravel() for one in np.meshgrid(QUICK_SHARES, np.geomspace(quickest, mean, QUICK_TIMES)))
     # what is quicker than the mean ln tau, and what is slower: exact where there are two
-    half = np.log(tau) <= float(variance @ np.log(tau)) / total
+    half = np.log(tau) <= float(variance @ np.log(tau)) / total + 1e-9  # of one alone but for rounding
     size = float(variance[half].sum())
     share = np.append(share, size / total)
     quick = np.append(quick, float(variance[half] @ tau[half]) / size)
     slow = (mean - share * quick) / np.maximum(1.0 - share, 1e-300)
-    share, quick, slow = (one[(slow <= slowest) & (share < 1.0)] for one in (share, quick, slow))
+    share, quick, slow = (one[(slow <= slowest) & (slow > 0.0) & (share < 1.0)] for one in (share, quick, slow))
     quicker, slower, alone = (_by_order(times, frequency) for times in (quick, slow, np.array([mean])))
     apart = {n: _divergence(truth, alone[n])[0] for n in alone}
     best = min(apart, key=lambda n: apart[n])

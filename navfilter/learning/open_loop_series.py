@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import open_loop_residual
-from navfilter.learning.axis_learner import hop_together
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
 from navfilter.learning.setup import learner_of, with_learnt
 from navfilter.models.error_models import ErrorModel
-from navfilter.models.learned_arma import known_walk, known_white, learning_part
+from navfilter.models.learned_arma import known_walk, known_white, learning_part, with_learned
 from navfilter.models.navigation_drift import FOUND_S
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
@@ -27,9 +26,9 @@ from navfilter.models.window_limits import LEAST, LONGEST_GAP
 __all__ = ["ChannelSeries", "OpenLoopSeries", "without_spikes"]
 
 Array = NDArray[np.float64]
-#: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
-#: Hz its sd is 0.06.
-MEMORY_S, PROBATION_S = 30.0, 90.0
+#: Another level is one that differs by more than this factor, as a variance [1] (chosen: with 1.5 it changes twice as
+#: often).
+ANOTHER = 2.0
 #: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
 #: half minute that is the least a hop learns from.
 TAKEN_AFTER_S = 2.0
@@ -111,7 +110,7 @@ class OpenLoopSeries:
         )
         # more missing ticks than are predicted through
         self._anew = max(LONGEST_GAP + 1, math.ceil(FOUND_S / self.period_s))
-        self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
+        self.window = window
         self.described = models
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
@@ -119,7 +118,6 @@ class OpenLoopSeries:
         known = {
             open_loop_residual.KIND: self.kind,
             open_loop_residual.CAPACITY: capacity,
-            open_loop_residual.SHARE: self._share,
         }
         self._ear = np.array(
             [*(known.get(i, 0.0) for i in range(open_loop_residual.MOUNT)), *self.mount], dtype=np.float64
@@ -130,11 +128,8 @@ class OpenLoopSeries:
             left_out=np.zeros((LEFT_OUT, 2), np.int64),
             due=LEAST if window else NEVER,
             heard=0,
-            since=0,
-            nis=1.0,
-            judged=round(PROBATION_S / self.period_s),
-            usual=1.0,
-            low=False,
+            level=1.0,
+            odds=_as_modelled(),
             models=models,
             learners=memories(self.learners),
             hop=None,
@@ -145,6 +140,11 @@ class OpenLoopSeries:
     def learns(self) -> bool:
         """Whether anything is learnt from what it hears."""
         return self.window > 0 and not self._memory.ended
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether the level of its error is: where something has been learnt of it, and is learnt."""
+        return self.learns and any(one is not two for one, two in zip(self._memory.models, self.described, strict=True))
 
     @property
     def memory(self) -> OpenLoopMemory:
@@ -225,16 +225,9 @@ class OpenLoopSeries:
         """What a kernel needs to listen over many readings, see `navfilter.kernels.open_loop_residual`."""
         memory, ear = self._memory, self._ear.copy()
         due = memory.due if memory.hop is None else memory.hop.taken
-        ear[open_loop_residual.NOTED], ear[open_loop_residual.DUE], ear[open_loop_residual.WATCHED] = (
-            memory.cursor.item(),
-            due,
-            self.learns,
-        )
-        ear[open_loop_residual.NIS], ear[open_loop_residual.JUDGED], ear[open_loop_residual.USUAL] = (
-            memory.nis,
-            memory.judged,
-            memory.usual,
-        )
+        ear[open_loop_residual.NOTED], ear[open_loop_residual.DUE] = memory.cursor.item(), due
+        ear[open_loop_residual.ANOTHER], ear[open_loop_residual.LEVEL] = self.is_watched * ANOTHER, memory.level
+        ear[open_loop_residual.ODDS : open_loop_residual.MOUNT] = memory.odds
         return ear
 
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
@@ -251,7 +244,7 @@ class OpenLoopSeries:
         room = capacity - begin
         memory.ring[:, begin : begin + kept.shape[1]] = kept[:, :room]
         memory.ring[:, : max(kept.shape[1] - room, 0)] = kept[:, room:]
-        memory.nis = float(ear[open_loop_residual.NIS])
+        memory.odds[:] = ear[open_loop_residual.ODDS : open_loop_residual.MOUNT]
 
     def settle(self, age_s: float) -> None:
         """The beginning will be done again: nothing is learnt again from what was heard before now; the last tick was
@@ -268,6 +261,7 @@ class OpenLoopSeries:
         """Listen from the start again."""
         self._memory.cursor[0] = 0
         self._memory.left_out[:] = 0
+        self.forget_level()
 
     def _ticks_by_now(self, age_s: float) -> int:
         """Ticks noted so far, and those that should have come since: their readings may be on their way."""
@@ -275,53 +269,38 @@ class OpenLoopSeries:
         return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
 
     def _next(self, ticks: int) -> int:
-        """Ticks that make the next hop due: twice as many since the last change at first, a hop more then."""
-        known = ticks - self._memory.since
-        return ticks + min(self.hop, known) if known >= LEAST else self._memory.since + LEAST
+        """Ticks that make the next hop due: twice as many at first, a hop more then."""
+        return ticks + min(self.hop, ticks) if ticks >= LEAST else LEAST
 
     def notice(self, nis: float, dof: int) -> None:
-        """Take note of how a reading fared in the filter; after a change of the error only what came since is learnt
-        from.
-        """
-        memory = self._memory
-        if not dof or not math.isfinite(nis):
-            return
-        memory.nis += self._share * (min(nis / dof, open_loop_residual.NIS_MOST) - memory.nis)
-        self.judge()
+        """Take note of how a reading fared in the filter."""
+        if dof and math.isfinite(nis):
+            ear = self.series_kernel
+            open_loop_residual.judge_level(ear, float(nis), float(dof))
+            self._memory.odds[:] = ear[open_loop_residual.ODDS : open_loop_residual.MOUNT]
 
-    def judge(self) -> None:
-        """Whether the error has changed, by the mean NIS.
+    def is_another_level(self) -> bool:
+        """Whether the error is larger or smaller than at the level in force, by another factor; takes the new one."""
+        memory, factor = self._memory, ANOTHER
+        mean = float(memory.odds @ open_loop_residual.LEVELS)
+        if not self.is_watched or memory.level / factor <= mean <= memory.level * factor:
+            return False
+        memory.level = mean
+        return True
 
-        What is too low once more, by a model that was learnt since, is no change: more white noise is described beside
-        what is learnt than there is, and no model makes up for that.
-        """
-        memory, now = self._memory, int(self._memory.cursor[0])
-        if (
-            now < memory.judged
-            or open_loop_residual.CALM_LEAST < memory.nis / memory.usual < open_loop_residual.CALM_MOST
-        ):
-            return
-        time_constant = round(MEMORY_S / self.period_s)
-        low = memory.nis < memory.usual
-        if low and memory.low and now < memory.judged + time_constant and memory.usual == 1.0:
-            memory.usual, memory.judged = memory.nis, now + time_constant
-            return
-        memory.usual, memory.low = 1.0, low
-        # noticed within a time constant
-        self.learn_anew(time_constant)
+    def forget_level(self) -> None:
+        """Models in force are as they were learnt."""
+        self._memory.level, self._memory.odds[:] = 1.0, _as_modelled()
 
-    def learn_anew(self, ticks: int = 0) -> None:
-        """From now on learn only from the last so many ticks, and from what comes."""
-        memory = self._memory
-        now = int(memory.cursor[0])
-        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
-        memory.since = memory.heard = max(memory.since, now - ticks)
-        memory.due = now + round(MEMORY_S / self.period_s) if self.learns else NEVER
-        recall(self.learners, memories(self.learners), memory.learners)
-        for learner in self.learners:
-            if learner is not None:
-                learner.forget()
-        memory.learners, memory.hop = memories(self.learners), None
+    def at_level(self, models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
+        """Error models at the level in force; those from which nothing was learnt stay."""
+        parts, level = [learning_part(model) for model in models], self._memory.level
+        if all(part is None or part.model is None or part.level == level for part in parts):
+            return tuple(models)  # the very same: what it takes to adopt them has been worked out
+        return tuple(
+            with_learned(model, replace(part, level=level)) if part is not None and part.model is not None else model
+            for model, part in zip(models, parts, strict=True)
+        )
 
     def begin_hop(self, age_s: float = 0.0, taken: int | None = None) -> None:
         """Begin to learn from what was noted so far; the last tick was `age_s` ago. The answer is taken `TAKEN_AFTER_S`
@@ -333,7 +312,7 @@ class OpenLoopSeries:
         memory.due = self._next(written)
         fresh, memory.heard = written - newest - memory.heard, written - newest
         after = math.ceil(TAKEN_AFTER_S / self.period_s)
-        noted = self._noted(min(self.window + newest, written - memory.since), newest)
+        noted = self._noted(self.window + newest, newest)
         memory.hop = Hop(*noted, fresh, written + after if taken is None else taken)
         self.worker.later(self._tell)
 
@@ -387,7 +366,7 @@ class OpenLoopSeries:
 
     def _levels(self, models: Sequence[ErrorModel]) -> tuple[float, ...]:
         parts = [learning_part(model) for model in models]
-        return tuple(1.0 if part is None else max(part.level(self.period_s), 1e-300) for part in parts)
+        return tuple(1.0 if part is None else max(part.s0(self.period_s), 1e-300) for part in parts)
 
     def _answered(
         self, knew: Sequence[LearnerMemory | None], hop: Hop, models: tuple[ErrorModel, ...]
@@ -398,12 +377,13 @@ class OpenLoopSeries:
         """
         self._before, own = None, [copy(learner) for learner in self.learners]
         recall(own, memories(own), knew)
-        series, found = [], []
-        for axis, learner in enumerate(own):
-            before = 0 if learner is None else max(hop.heard.shape[1] - learner.window, 0)
-            told = None if learner is None else self._told(axis, hop.heard[:, before:], hop.left_out - before)
-            series.append(None if told is None else without_spikes(told))
-        for model, learnt in zip(models, hop_together(own, series, hop.fresh), strict=True):
+        found = []
+        for axis, (learner, model) in enumerate(zip(own, models, strict=True)):
+            learnt = None
+            if learner is not None:
+                before = max(hop.heard.shape[1] - learner.window, 0)
+                told = self._told(axis, hop.heard[:, before:], hop.left_out - before)
+                learnt = learner.hop(without_spikes(told), hop.fresh)
             found.append(with_learnt(model, learnt))
             if learnt is not None and learning_part(found[-1]) is not None:  # remembered for the adoption
                 found[-1].block(self.period_s)
@@ -412,6 +392,11 @@ class OpenLoopSeries:
         if expect and new is not models:
             expect(self.name, new)
         return new, self._levels(new), memories(own)
+
+
+def _as_modelled() -> Array:
+    """Probabilities of the levels where the error is as large as its model."""
+    return np.eye(len(open_loop_residual.LEVELS))[0]
 
 
 #: A sample so many robust deviations from its neighbours is a spike.

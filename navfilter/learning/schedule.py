@@ -223,7 +223,7 @@ class LearningSchedule:
         """What follows when a reading has been listened to; its last ticks may be `doubtful`."""
         if time_s < self.learning_s:
             return ()
-        if listener.learns and not doubtful:
+        if listener.is_watched and not doubtful:
             listener.notice(outcome.nis, outcome.dof)
         return self._due(listener, outcome.accepted)
 
@@ -237,7 +237,9 @@ class LearningSchedule:
         models = listener.learnt() if listener.is_answered else None
         if listener.is_due and accepted:
             listener.begin_hop()
-        return () if models is None or self._refused else (Change(listener.name, models),)
+        if models is None and not self._refused and listener.is_another_level():
+            models = self.filter.channels[listener.name].sensor.models
+        return () if models is None or self._refused else (Change(listener.name, listener.at_level(models)),)
 
     @property
     def learning_s(self) -> float:
@@ -275,18 +277,16 @@ class LearningSchedule:
     def learn(self, name: str) -> Sequence[Change]:
         """Something is due after a reading of this sensor, of many that a kernel has taken; as `heard`."""
         listener = self.listeners[name]
-        if listener.learns:
-            listener.judge()
         return self._due(listener, True)
 
     def _state_reset(self, kind: int) -> None:
         """The state has been reset to what sensors of a kind say: an open loop knows nothing of that step, nor of what
-        the integrals of it do.
+        the integrals of it do, and its drift begins anew.
         """
         chain = (open_loop_residual.HEADING, open_loop_residual.VELOCITY, open_loop_residual.POSITION)
         for listener in self.listeners.values():
             if listener.kind in chain[chain.index(kind) :]:
-                listener.learn_anew()
+                listener.begin_anew(0.0)
 
     def _relaid(self, M: Array) -> None:
         self._fed_back = relaid(self._fed_back, M, self.filter.layout.head)
@@ -431,6 +431,8 @@ class LearningSchedule:
         if name in self.listeners and not any(map(learning_part, self.filter.in_force.sensors[name].models)):
             self.listeners[name].leave()
         learning = [listener for listener in self.listeners.values() if listener.learns]
+        if name in self.listeners:
+            self.listeners[name].forget_level()
         if self.again is not None and not self.again.given_up:  # what was found for that is as good without it
             self._waiting = tuple(Change(listener.name, listener.memory.models) for listener in learning)
         self._waiting = tuple(change for change in self._waiting if change.sensor != name)

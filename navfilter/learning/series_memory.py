@@ -90,16 +90,10 @@ class OpenLoopMemory:
         The next hop comes when so many have been noted.
     heard : int
         Ticks that have been learnt from.
-    since : int
-        Ticks before the last change of the error: they are not learnt from.
-    nis : float
-        Mean NIS per degree of freedom of late.
-    judged : int
-        From this tick on the model in force is judged by it.
-    usual : float
-        What it is where nothing changes: 1, or less where white noise is described that is not there.
-    low : bool
-        When the error last seemed to have changed, it was less.
+    level : float
+        How many times as large as learnt the error is in the models in force, as a variance.
+    odds : ndarray, shape (LEVELS,)
+        How probable the levels of `navfilter.kernels.open_loop_residual` are.
     models : tuple of ErrorModel
         Of each axis, as learnt last.
     learners : tuple of LearnerMemory or None
@@ -117,11 +111,8 @@ class OpenLoopMemory:
     left_out: NDArray[np.int64]
     due: int
     heard: int
-    since: int
-    nis: float
-    judged: int
-    usual: float
-    low: bool
+    level: float
+    odds: Array
     models: tuple[ErrorModel, ...]
     learners: tuple[LearnerMemory | None, ...]
     hop: Hop | None

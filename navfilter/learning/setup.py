@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from navfilter.kernels import open_loop_residual
 from navfilter.learning.axis_learner import Learner
-from navfilter.learning.fast_prior import quick_description
 from navfilter.learning.learned_model import LearnedModel
 from navfilter.learning.slow_prior import SlowPrior, slow_prior
-from navfilter.learning.white_prior import white_description
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import LONGEST_SPAN_S, LearnedArma, learned_part, with_learned
 from navfilter.models.navigation_drift import Drift
@@ -43,20 +40,13 @@ def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, wi
     """
     part = part if window is None else replace(part, window=window)
     period_s = 1.0 / sensor.rate_hz
-    described = white_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
-    # a drift hides slow errors of velocities and positions; the usual error of a kind says nothing of this sensor's
-    is_hidden = sensor.open_loop in (open_loop_residual.VELOCITY, open_loop_residual.POSITION) and part.prior not in (
-        None,
-        sensor.prior,
-    )
-    prior = believed(part, period_s, is_hidden)
-    quick = quick_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
-    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described, quick=quick)
+    prior = believed(part, period_s, sensor.prior)
+    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=part.prior)
 
 
-def believed(part: LearnedArma, period_s: float, is_hidden: bool = False) -> SlowPrior | None:
-    """The prior of the slow error of a part that learns at this period."""
-    return slow_prior(part.prior or part, period_s, span_s(part, period_s), is_hidden, part.prior_within)
+def believed(part: LearnedArma, period_s: float, kind: ErrorModel | None = None) -> SlowPrior | None:
+    """The prior of the slow error of a part that learns at this period; `kind`: see `slow_prior`."""
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s), part.prior_within, kind)
 
 
 def span_s(part: LearnedArma, period_s: float) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -81,8 +81,6 @@ class SlowPosterior:
         Nodes, their weights with the sum one.
     moments : ndarray, shape (m, 4)
         On a finer grid of tau: order, tau [s], weight, mean of sd^2.
-    log_odds : float
-        Logarithm of the odds that there is a slow part.
     """
 
     lines: dict[Place, Line]
@@ -91,25 +89,12 @@ class SlowPosterior:
     log_sd: Array
     weight: Array
     moments: Array
-    log_odds: float = 0.0
 
     @property
     def mode(self) -> SlowNode:
         """The most probable node."""
         best = int(np.argmax(self.weight))
         return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
-
-    def told(self, prior: SlowPrior, log_factor: Array) -> SlowPosterior:
-        """The same with something that changes the prior of its nodes, shape (n,); the evidence stays what it was."""
-        return replace(_weighed(self.lines, prior, log_factor), lines=self.lines)
-
-    def given(self, present: float) -> SlowPosterior:
-        """The same where there is a slow part with another probability."""
-        ratio = present / float(self.moments[:, 2].sum())
-        none = self.lines[ABSENT].log_sd.size
-        weight, moments = self.weight * ratio, self.moments.copy()
-        weight[:none], moments[:, 2] = (1.0 - present) / none, moments[:, 2] * ratio
-        return replace(self, weight=weight, moments=moments)
 
     def parts(self) -> tuple[GaussMarkov, ...]:
         """At most two processes that stand for all: the mean covariance function is a sum over all nodes."""
@@ -123,7 +108,6 @@ def follow(
     known: Mapping[Place, Line],
     first: int,
     forgetting: float,
-    prior: SlowPrior | None = None,
 ) -> SlowPosterior:
     """The posterior of the slow part, given the fast one.
 
@@ -141,10 +125,8 @@ def follow(
         Samples from here on are new; the others have been counted in `known`.
     forgetting : float
         Share of the earlier evidence that still counts.
-    prior : SlowPrior, optional
-        Default: that of the likelihood.
     """
-    prior = prior or likelihood.prior
+    prior = likelihood.prior
     assert prior is not None
     fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
     taus = prior.taus_s
@@ -193,9 +175,9 @@ def _together(
     return found
 
 
-def _weighed(lines: dict[Place, Line], prior: SlowPrior, log_factor: Array | float = 0.0) -> SlowPosterior:
+def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     lines = {place: lines[place] for place in sorted(lines)}
-    tops, shares, begins = _masses(lines, prior, log_factor)
+    tops, shares, begins = _masses(lines, prior)
     highest = float(tops.max())
     lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
     order, number = np.array(list(lines)).T
@@ -210,22 +192,19 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior, log_factor: Array | flo
         log_sd=log_sd,
         weight=np.repeat(level, sizes) * shares,
         moments=_between(prior.taus_s, (tops - highest)[there], np.log(means), float(level[there].sum())),
-        log_odds=float(np.logaddexp.reduce(tops[there]) - np.logaddexp.reduce(tops[~there])),
     )
 
 
-def _masses(
-    lines: Mapping[Place, Line], prior: SlowPrior, log_factor: Array | float = 0.0
-) -> tuple[Array, Array, NDArray[np.int64]]:
+def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array, NDArray[np.int64]]:
     """Log of the posterior's mass on each line, and how it is shared by its places: those of all lines one behind the
-    other, and where each line begins, with the end of the last. `log_factor` comes to the prior of a node.
+    other, and where each line begins, with the end of the last.
     """
     order, number = np.array(list(lines)).T
     sizes = [line.log_sd.size for line in lines.values()]
     begins = np.concatenate([[0], np.cumsum(sizes)])
     log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
     log_tau = np.repeat(np.log(prior.taus_s)[number], sizes)
-    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau) + log_factor
+    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau)
     tops = np.maximum.reduceat(log, begins[:-1])
     shares = np.exp(log - np.repeat(tops, sizes))
     totals = np.add.reduceat(shares, begins[:-1])

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: The time constant of a data sheet is that of the whole error; its slow part is about twice as slow.
 SLOWER = 2.0
+#: Probability that there is no slow error beside quick ones or white noise, where none is described [1].
+UNDESCRIBED = 0.95
 
 
 class SlowNode(NamedTuple):
@@ -47,10 +49,6 @@ class SlowPrior:
         Its correlation time [s].
     span_s : float
         Time that the window holds [s]. Errors quicker than a sixtieth of it are the fast part's.
-    white : float
-        Variance of the white noise beside it in the vehicle file [unit^2].
-    is_hidden : bool
-        Readings tell little of it: see `beside`.
 
     Attributes
     ----------
@@ -70,8 +68,6 @@ class SlowPrior:
     sd: float
     tau_s: float
     span_s: float
-    white: float = 0.0
-    is_hidden: bool = False
     median: float = 2.0 ** -math.log(2.0)
     spread: float = math.log(2.0)
     tau_spread: float = 2.0
@@ -114,13 +110,6 @@ class SlowPrior:
         """ln sd and ln tau."""
         return math.log(self.median * self.sd), math.log(self.tau_s)
 
-    def beside(self, variance: float) -> SlowPrior:
-        """What is believed of one that `is_hidden` where the fast part has this variance [unit^2]: what was described
-        of the whole and is not there is where readings cannot tell.
-        """
-        rest = 1.0 + (self.white - variance) / self.sd**2
-        return replace(self, median=math.sqrt(min(max(rest, self.median**2), 1.0)))
-
     def log_mass(self) -> float:
         """Of all nodes, with the constant that `log_density` is without."""
         off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
@@ -142,10 +131,10 @@ def slow_prior(
     model: ErrorModel,
     period_s: float,
     span_s: float,
-    is_hidden: bool = False,
     within: tuple[float, float] | None = None,
+    kind: ErrorModel | None = None,
 ) -> SlowPrior | None:
-    """The prior of the slow part from an error model of the vehicle file; None where it has white noise alone.
+    """The prior of the slow part from an error model of the vehicle file.
 
     Parameters
     ----------
@@ -155,23 +144,30 @@ def slow_prior(
         Of the sensor [s].
     span_s : float
         Time that the window holds [s].
-    is_hidden : bool
-        Readings tell little of slow errors.
     within : (float, float), optional
         Factors within which the model is believed, as it stands, in standard deviation and correlation time. A model
         that is quicker than any slow error says nothing of one.
+    kind : ErrorModel, optional
+        Usual error of the sensor's kind. Beside white noise alone a slow error is as slow as that one's, with the
+        power at zero frequency that was described, and unlikely; without a kind there is none.
     """
     blocks = described_blocks(model, period_s)
-    variance = sum(float(block.C @ block.P0 @ block.C) for block in blocks)
+    variance, white = sum(float(block.C @ block.P0 @ block.C) for block in blocks), sum(block.r for block in blocks)
     if not variance > 0.0:
-        return None
+        usual = None if kind is None else slow_prior(kind, period_s, span_s)
+        if usual is None or not white > 0.0:
+            return None
+        return replace(usual, sd=math.sqrt(0.5 * white * period_s / usual.tau_s), absent=UNDESCRIBED)
     # of a Gauss-Markov process S(0) is twice variance times correlation time
-    power = sum(block_level(block) - block.r for block in blocks) * period_s
-    white, sd, tau_s = sum(block.r for block in blocks), math.sqrt(variance), power / (2.0 * variance)
+    power = (sum(block_level(block) for block in blocks) - white) * period_s
+    sd, tau_s = math.sqrt(variance), power / (2.0 * variance)
     if within is None or tau_s < span_s / 50.0:
-        return SlowPrior(sd, max(SLOWER * tau_s, span_s / 50.0), span_s, white, is_hidden)
+        if SLOWER * tau_s >= span_s / 50.0:
+            return SlowPrior(sd, SLOWER * tau_s, span_s)
+        # a slow error beside quick ones has no more power at zero frequency than was described
+        return SlowPrior(sd * math.sqrt(50.0 * SLOWER * tau_s / span_s), span_s / 50.0, span_s, absent=UNDESCRIBED)
     spread, tau_spread = math.log(within[0]), math.log(within[1])
-    return SlowPrior(sd, tau_s, span_s, white, is_hidden, median=1.0, spread=spread, tau_spread=tau_spread)
+    return SlowPrior(sd, tau_s, span_s, median=1.0, spread=spread, tau_spread=tau_spread)
 
 
 def drift_chain(drift: Drift, unit: float) -> Array:

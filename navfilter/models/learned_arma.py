@@ -45,8 +45,7 @@ Array = NDArray[np.float64]
 DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 3))
 #: The window counts as this long at most where slow and fast errors are told apart [s]: what a heading forgets.
 LONGEST_SPAN_S = 500.0
-#: Colour is described as quick if its correlation time is shorter than this part of the window's span [1], see
-#: `navfilter.learning.fast_prior`.
+#: Colour is described as quick if its correlation time is shorter than this part of the window's span [1].
 QUICKER = 200.0
 #: A description is believed within this factor at best [1]: the axes of one instrument differ by as much.
 LEAST_FACTOR = 1.1
@@ -64,8 +63,9 @@ class LearnedArma(ErrorModel):
     prior : ErrorModel, optional
         What is believed beforehand, and in force until the first model has been learnt, beside as much white noise as
         what is slow in it is large: it may be quick. The slow part's standard deviation is believed within a factor of
-        two, its time constant hardly (`navfilter.learning.slow_prior.SlowPrior`); white noise alone excludes slow
-        errors, as long as the readings are white. Default: that of the sensor's kind.
+        two, its time constant hardly (`navfilter.learning.slow_prior.SlowPrior`); beside white noise alone a slow error
+        is unlikely. It stays a hypothesis beside what is learnt (`navfilter.learning.mixture`). Default: that of the
+        sensor's kind.
     orders : sequence of (p, q)
         Candidates of the fast part.
     window : int
@@ -75,7 +75,7 @@ class LearnedArma(ErrorModel):
     model : ArmaModel, optional
         The fast part in force; the navigator sets it when it adopts one.
     slow : ErrorModel, optional
-        The slow part in force beside it: one or two Gauss-Markov processes.
+        What is in force beside it: one or two Gauss-Markov processes, and white noise where the prior has some.
     frozen : bool
         Keep `model` and learn nothing more: what one dive has taught, used on the next.
     spectrum : Spectrum, optional
@@ -86,6 +86,9 @@ class LearnedArma(ErrorModel):
         error is known: a drift hides it, and what is not known of it is carried as an error that may last. Default: a
         data sheet, which states the whole of an error; its slow part is believed to be 0.62 times as large, so that
         the mean of its variance is what is stated, and twice as slow, within (2, 7.4).
+
+    level : float
+        How many times as large as it was learnt the error is at present, as a variance; the navigator sets it.
 
     Raises
     ------
@@ -119,6 +122,7 @@ class LearnedArma(ErrorModel):
     frozen: bool = False
     spectrum: Spectrum | None = field(default=None, compare=False)
     prior_within: tuple[float, float] | None = None
+    level: float = 1.0
 
     if TYPE_CHECKING:  # what is handed over becomes what the fields are
 
@@ -133,6 +137,7 @@ class LearnedArma(ErrorModel):
             frozen: bool = False,
             spectrum: Spectrum | None = None,
             prior_within: Sequence[float] | None = None,
+            level: float = 1.0,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -170,16 +175,17 @@ class LearnedArma(ErrorModel):
             raise ValueError(
                 f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}."
             )
-        parts = self.slow.parts if isinstance(self.slow, Sum) else () if self.slow is None else (self.slow,)
-        if any(not isinstance(part, GaussMarkov) for part in parts):
+        if any(not isinstance(part, GaussMarkov | White) for part in self.beside):
             raise ValueError(
-                f"LearnedArma.slow must be Gauss-Markov processes, found {self.slow!r}. Example: GaussMarkov(sd=0.01, "
-                "tau_s=60)."
+                f"LearnedArma.slow must be Gauss-Markov processes, and white noise beside them, found {self.slow!r}. "
+                "Example: GaussMarkov(sd=0.01, tau_s=60)."
             )
-        if parts and self.model is None:
+        if self.beside and self.model is None:
             raise ValueError(
                 "LearnedArma(slow=...) has no model beside it. Give it one: ArmaModel([], [], sd) is white."
             )
+        if not (math.isfinite(self.level) and self.level > 0.0):
+            raise ValueError(f"LearnedArma.level must be positive, found {self.level!r}. As it was learnt it is 1.")
         if self.frozen and self.model is None:
             raise ValueError(
                 "LearnedArma(frozen=True) has no model to keep. Give it one, or leave frozen out and it learns one."
@@ -214,7 +220,7 @@ class LearnedArma(ErrorModel):
             When there is neither.
         """
         if self.model is not None:
-            return _learnt_block(self.model, self.slow_parts, period_s)
+            return _learnt_block(self.model, self.beside, period_s, self.level)
         if self.prior is None:
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
@@ -238,10 +244,10 @@ class LearnedArma(ErrorModel):
                 added += variance if power >= quick_s * variance else 0.0
         return replace(block, r=block.r + added)
 
-    def level(self, period_s: float) -> float:
+    def s0(self, period_s: float) -> float:
         """S(0) per sample of its block."""
         if self.model is not None:
-            return _learnt_level(self.model, self.slow_parts, period_s)
+            return self.level * _learnt_level(self.model, self.beside, period_s)
         return block_level(self.block(period_s))
 
     def integrated(self, period_s: float) -> Integrated:
@@ -253,10 +259,14 @@ class LearnedArma(ErrorModel):
         )
 
     @property
+    def beside(self) -> tuple[ErrorModel, ...]:
+        """What stands beside the fast part: the slow one's processes, and white noise."""
+        return self.slow.parts if isinstance(self.slow, Sum) else () if self.slow is None else (self.slow,)
+
+    @property
     def slow_parts(self) -> tuple[GaussMarkov, ...]:
         """The processes of the slow part."""
-        parts = self.slow.parts if isinstance(self.slow, Sum) else (self.slow,)
-        return tuple(part for part in parts if isinstance(part, GaussMarkov))
+        return tuple(part for part in self.beside if isinstance(part, GaussMarkov))
 
     def __str__(self) -> str:
         if self.model is None:
@@ -266,9 +276,10 @@ class LearnedArma(ErrorModel):
 
 
 @lru_cache(maxsize=64)
-def _learnt_block(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float) -> Block:
+def _learnt_block(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float, level: float = 1.0) -> Block:
     # laying out the states asks for it some fifty times at each adoption
-    return joined_block([register_block(model), *(part.block(period_s) for part in slow)])
+    block = joined_block([register_block(model), *(part.block(period_s) for part in slow)])
+    return Block(block.Phi, level * block.Q, block.C, level * block.r, level * block.P0)
 
 
 @lru_cache(maxsize=64)

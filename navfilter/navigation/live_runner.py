@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.imu import bias_drift
 from navfilter.filter.events import Measurement, Outcome
-from navfilter.kernels import batch, strapdown
+from navfilter.kernels import batch, open_loop_residual, strapdown
 from navfilter.learning.input_buffer import PIECE
 
 if TYPE_CHECKING:
@@ -206,9 +206,7 @@ class MeasurementFastPath:
             place = kept.samples.count, kept.readings.count, kept.values.count
         if size == self._plain_size:
             read = self._plain
-            why, nis, dof, mean_nis = batch.correct_reading(
-                hand, memory.recent, z, read, True, time_s, memory.time_s, *place
-            )
+            why, nis, dof = batch.correct_reading(hand, memory.recent, z, read, True, time_s, memory.time_s, *place)
         if why == batch.REFUSED:
             asked = self._read(z)
             if asked is None:
@@ -216,9 +214,7 @@ class MeasurementFastPath:
             read = asked
             if kept is not None and not kept.has_room(size):
                 place, full = _NOT_KEPT, True
-            why, nis, dof, mean_nis = batch.correct_reading(
-                hand, memory.recent, z, read, False, time_s, memory.time_s, *place
-            )
+            why, nis, dof = batch.correct_reading(hand, memory.recent, z, read, False, time_s, memory.time_s, *place)
             if why == batch.REFUSED:
                 return None
         # ---- from here on it is taken
@@ -239,7 +235,7 @@ class MeasurementFastPath:
             if busy:
                 self._channel.stuck = self._channel.stale = False
             if self._learning is not None:
-                self._learning.nis = mean_nis
+                self._learning.odds[:] = self._ear[open_loop_residual.ODDS : open_loop_residual.MOUNT]
                 if why == batch.LEARN:
                     self._learn()
                     busy = True

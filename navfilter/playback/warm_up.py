@@ -156,6 +156,7 @@ def _compile_prompt() -> None:
         batch.correct_reading.compile(addresses.PROMPT)
         batch.propagate_sample.compile(addresses.SAMPLE)
         noise_scale.update_scale.compile(addresses.SCATTERED)
+        open_loop_residual.judge_level.compile(addresses.LEVEL)
         open_loop_residual.is_within.compile(addresses.WITHIN)
         open_loop_residual.information_since.compile(addresses.TOLD_SINCE)
         batch.readmission.compile(addresses.READMISSION)

@@ -443,6 +443,7 @@ def _plain(time_s: float, part: LearnedArma, model: ArmaModel, period_s: float) 
         "s0": block_level(part.block(period_s)),
         "sd_log_s0": model.sd_log_s0,
         "slow": [{"sd": p.sd, "tau_s": p.tau_s, "order": p.order} for p in part.slow_parts],
+        "level": part.level,
         "pole_radius": float(np.abs(model.poles).max(initial=0.0)),
         "flags": sorted(model.flags),
         "frozen": part.frozen,

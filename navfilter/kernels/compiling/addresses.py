@@ -84,6 +84,8 @@ SAMPLE = (_MATRIX_OF_PLACES, _TABLE, types.float64, types.float64, types.int64)
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
 #: The same for `navfilter.kernels.open_loop_residual.information_since`.
 TOLD_SINCE = (_ROW, _TABLE, _PLACES, _ROW, _TABLE, types.float64, _TABLE, _TABLE)
+#: The same for `navfilter.kernels.open_loop_residual.judge_level`.
+LEVEL = (_ROW, types.float64, types.float64)
 #: The same for `navfilter.kernels.noise_scale.update_scale`.
 SCATTERED = (
     *(_ROW, _ROW, _ROW, types.int64, types.int64, _TABLE, types.int64, _TABLE, _ROW, _TABLE),

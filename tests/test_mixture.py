@@ -1,0 +1,119 @@
+"""What is handed out is a mixture of what was learnt and what was described, weighed by sums over a minute."""
+
+import math
+
+import naive
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import navfilter as nf
+from navfilter.kernels.sum_likelihood import sum_likelihood
+from navfilter.learning.axis_learner import Learner
+from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.mixture import described_share
+from navfilter.models.error_models import Sum, block_level
+from navfilter.models.navigation_drift import Drift
+from navfilter.simulation.faults import draw_error
+
+PERIOD_S = 0.5
+DRIFT = Drift((1e-4, 1e-6), PERIOD_S)
+SLOW, QUICK = nf.GaussMarkov(sd=0.1, tau_s=60.0) + nf.White(sd=0.05), nf.White(sd=0.05)
+
+
+def random_model(random, n=4):
+    F = np.diag(random.uniform(0.5, 0.99, n)) + np.triu(0.1 * random.standard_normal((n, n)), 1)
+    half, start = random.standard_normal((2, n, n))
+    return F, half @ half.T, random.standard_normal(n), start @ start.T, 0.3
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3, 0.9])
+def test_sums_as_tick_by_tick(missing):
+    random = np.random.default_rng(3)
+    for length in (1, 7, 32, 61):
+        y = random.standard_normal(500)
+        y[random.random(y.size) < missing] = math.nan
+        model = random_model(random)
+        ours, twin = sum_likelihood(y, length, 2, *model), naive.sum_likelihood(y, length, 2, *model)
+        assert ours == pytest.approx(twin, rel=1e-9)
+
+
+def test_it_is_the_density_of_the_sums():
+    """Dense: the covariance of all readings, and sums of them."""
+    random, n, length = np.random.default_rng(4), 60, 12
+    F, Q, C, P, r = random_model(random)
+    # states at tick t are F^t x0 and what has come in since
+    states = np.array([np.linalg.matrix_power(F, t + 1) for t in range(n)])
+    cov = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            come = sum(
+                np.linalg.matrix_power(F, i - k) @ Q @ np.linalg.matrix_power(F, j - k).T for k in range(min(i, j) + 1)
+            )
+            cov[i, j] = C @ (states[i] @ P @ states[j].T + come) @ C + r * (i == j)
+    summed = np.kron(np.eye(n // length), np.ones(length))
+    y = random.standard_normal(n)
+    found, count = sum_likelihood(y, length, 0, F, Q, C, P, r)
+    dense = multivariate_normal(cov=summed @ cov @ summed.T).logpdf(summed @ y)
+    assert count == 5 and found == pytest.approx(dense + 2.5 * math.log(2.0 * math.pi), rel=1e-9)
+
+
+def share(true, described, seconds, seed=1):
+    y = draw_error(true, PERIOD_S, round(seconds / PERIOD_S), seed, "compass", 0)
+    likelihood = Likelihood(y, DRIFT, 0.0)
+    return described_share(likelihood, described.block(PERIOD_S), true.block(PERIOD_S))
+
+
+def test_beforehand_both_are_as_likely():
+    """Of five minutes two sums are taken up by the start, three are left."""
+    assert share(QUICK, SLOW, 299.0) == 0.5 != share(QUICK, SLOW, 301.0)
+
+
+def test_sums_decide_what_single_readings_do_not():
+    for seed in range(10):
+        assert share(QUICK, SLOW, 1800.0, seed) < 0.01
+    assert np.mean([share(SLOW, QUICK, 1800.0, seed) for seed in range(10)]) < 0.01
+
+
+def handed_out(described, seconds, true=QUICK):
+    y = draw_error(true, PERIOD_S, round(seconds / PERIOD_S), 2, "compass", 0)
+    orders = [(0, 0), (1, 0), (1, 1)]
+    beside, alone = (Learner(orders, 4000, DRIFT, described=one).hop(y) for one in (described, None))
+    return beside, alone
+
+
+def level(learnt):
+    part = nf.LearnedArma(model=learnt.model, slow=Sum(learnt.slow) if learnt.slow else None)
+    return block_level(part.block(PERIOD_S))
+
+
+def test_spectra_are_mixed():
+    described = SLOW + nf.GaussMarkov(sd=0.02, tau_s=5.0, order=2)
+    beside, alone = handed_out(described, 200.0)
+    power = sum(block_level(part.block(PERIOD_S)) for part in described.parts)
+    # processes that stand for others keep their power at zero frequency, but for sampling
+    assert level(beside) == pytest.approx(0.5 * level(alone) + 0.5 * power, rel=0.02)
+    known = sum(part.sd**2 for part in beside.slow if isinstance(part, nf.GaussMarkov))
+    assert known == pytest.approx(0.5 * (0.1**2 + 0.02**2), rel=1e-6)
+    if alone.model.p == alone.model.q == 0:  # one white noise is enough
+        assert beside.model.sd**2 == pytest.approx(0.5 * alone.model.sd**2 + 0.5 * 0.05**2)
+        assert not any(isinstance(part, nf.White) for part in beside.slow)
+
+
+def test_white_noise_stands_beside_a_coloured_fast_part():
+    beside, alone = handed_out(QUICK, 200.0, nf.GaussMarkov(sd=0.1, tau_s=2.0))
+    assert alone.model.p == 1
+    (white,) = beside.slow
+    assert white == nf.White(sd=0.05 * math.sqrt(0.5))
+
+
+def test_walks_are_the_drifts():
+    walk = nf.RandomWalk(density=1e-3)
+    assert Learner([(0, 0)], 400, DRIFT, described=SLOW + walk).described == SLOW.parts
+    assert Learner([(0, 0)], 400, DRIFT, described=walk).described == ()
+
+
+def test_a_description_that_sums_exclude_goes():
+    far = nf.GaussMarkov(sd=1.0, tau_s=60.0)
+    beside, alone = handed_out(far, 1800.0)
+    assert level(beside) < 1.05 * level(alone)
