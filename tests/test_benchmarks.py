@@ -26,6 +26,7 @@ SCRIPTS = {
     "faults": ("without a fault", ("missions", "outcomes", "fault_free", "service")),
     "faults_random": ("without the fault", ()),
     "fuzz": ("no other software", ()),
+    "gaps": ("No other", ()),
     "gliders": ("plain dead reckoning", ()),
     "gnss_heading": ("no other software", ()),
     "gnss_ins": ("KF-GINS", ()),

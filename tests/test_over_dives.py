@@ -18,7 +18,6 @@ from navfilter.calibration.over_dives import (
     pooled,
     posterior,
     to_table,
-    with_gaps,
 )
 from navfilter.commands.cli import main
 from navfilter.evaluation.over_dives_text import axis_spectra
@@ -116,11 +115,10 @@ def test_the_prior_has_the_described_variance_as_its_mean():
 def test_another_sensor_that_errs_takes_the_blame():
     """The compass is ten times too good, the velocity right: on a straight way only the former errs to the side."""
     ahead = Motion((ChangeSpeed(1.5, 5.0), Straight(300.0)), latitude_deg=50.0, longitude_deg=5.0)
-    small, large = (nf.GaussMarkov(sd=sd * DEG, tau_s=2.0) for sd in (0.6, 6.0))
-    dives = [
-        with_gaps(simulate(reckoning(TRUE, heading=large), ahead, seed=seed), ["gps"], math.inf) for seed in range(4)
-    ]
-    found = nf.learn(dives, reckoning(TRUE, heading=small))
+    fine, small, large = TOO_GOOD, *(nf.GaussMarkov(sd=sd * DEG, tau_s=2.0) for sd in (0.1, 1.0))
+    dives = [simulate(reckoning(fine, heading=large), ahead, seed=seed) for seed in range(4)]
+    found = nf.learn(dives, reckoning(fine, heading=small), gap_s=50.0)
+    assert sum(one.gaps for one in found.dives) == 20
     assert found.known["attitude"].quick > 3.0 and found.known["velocity"].quick < 1.7, found
     assert set(found.evidence) == {"attitude", "velocity", TOGETHER}
 

@@ -407,10 +407,11 @@ def _learnable(vehicle: Vehicle) -> list[str]:
 
 def models_of(vehicle: Vehicle, name: str) -> tuple[tuple[ErrorModel, ...], float]:
     """Error models of a sensor, or of a part of the drive, by axis, and its period [s]."""
-    part: Any = vehicle.sensors.get(name) or getattr(vehicle.drive, name)
-    if hasattr(part, "models"):
-        return part.models, 1.0 / part.rate_hz
-    return per_axis(part, 3, name), vehicle.drive.period_s
+    if name in vehicle.sensors:
+        return vehicle.sensors[name].models, 1.0 / vehicle.sensors[name].rate_hz
+    part: Any = getattr(vehicle.drive, name)
+    models = part.models if hasattr(part, "models") else per_axis(part, 3, name)
+    return models, vehicle.drive.period_s
 
 
 def with_factors(vehicle: Vehicle, name: str, quick: float, slow: float) -> Vehicle:
