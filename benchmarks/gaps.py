@@ -39,7 +39,7 @@ import over_water
 from harness import Array, Options, Table, data_root, flag, main, quick, recorded
 from recordings import known_until
 
-from navfilter.calibration.over_dives import OverDives, learn, models_of, pooled
+from navfilter.calibration.over_dives import TOGETHER, OverDives, learn, models_of, pooled
 from navfilter.evaluation.baselines import learnable, rival
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
@@ -248,7 +248,7 @@ def taught(job: tuple[str, str, str, list[dict[str, Array]]]) -> list[dict[str, 
     kind, name, how, said = job
     _, vehicle, _ = case(kind, name)
     start = described(vehicle, how)
-    sensors = [n for n in said[0] if n != "together"]
+    sensors = [n for n in said[0] if n != TOGETHER]
     _, new = pooled(start, sensors, said)
     rows = []
     for phase in range(KINDS[kind].phases):

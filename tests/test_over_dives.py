@@ -188,8 +188,8 @@ def test_spectra_lie_in_their_bands(taught):
     (spectra,) = axis_spectra(taught, "velocity")
     assert np.all(spectra.low <= spectra.high) and np.all(spectra.learnt > 10.0 * spectra.described)
     assert len(spectra.dives) == 6 and all(np.all(one > spectra.described) for one in spectra.dives)
-    # the power of white noise, one-sided
-    assert spectra.described == pytest.approx(np.full(len(spectra.freq_hz), 2.0 * 0.02**2))
+    # the power of white noise at 4 Hz, one-sided
+    assert spectra.described == pytest.approx(np.full(len(spectra.freq_hz), 2.0 * 0.02**2 / 4.0))
 
 
 # --- files ----------------------------------------------------------------------------------------------------------
@@ -282,8 +282,9 @@ def refusals(fleet, taught):
     return {
         "no gap with a fix after it": lambda: nf.learn(surface, reckoning()),
         "a gap must last 30 s at least": lambda: nf.learn(surface, reckoning(), gap_s=10.0),
-        "holds the same fixes as": lambda: nf.learn([fleet[0], fleet[0]], reckoning()),
-        "which was counted already": lambda: nf.learn(fleet[0], taught.vehicle, before=taught),
+        "holds the same readings as": lambda: nf.learn([fleet[0], fleet[0]], reckoning()),
+        "which was counted already": lambda: nf.learn(fleet[0], taught.vehicle, before=taught, gap_s=math.inf),
+        "has no fix of gps that was read": lambda: nf.learn(fleet[0].hide("gps", (-1.0, 1e9)), reckoning()),
         '"dvl" is no sensor of this vehicle; there are: gps, attitude, velocity': lambda: nf.learn(
             fleet[0], reckoning(), sensors=["dvl"]
         ),
@@ -299,7 +300,7 @@ def refusals(fleet, taught):
     }
 
 
-@pytest.mark.parametrize("said", range(12))
+@pytest.mark.parametrize("said", range(13))
 def test_what_cannot_be_learnt_from_is_refused_in_words(said, fleet, taught):
     text, call = list(refusals(fleet, taught).items())[said]
     with pytest.raises(ValueError) as refused:

@@ -61,8 +61,8 @@ GIVEN_S = 10.0
 STRAY, REACH_M = 0.01, 1000.0
 #: Rows of a track: what a covariance gains within a second is nothing beside what it gained in a gap [Hz].
 ROWS_HZ = 1.0
-#: What every sensor is scaled by at once: a file may be too good throughout.
-TOGETHER = "together"
+#: In place of a sensor's name: all of them, larger by the same factors, for a file may be too good throughout.
+TOGETHER = ""
 
 
 class Known(NamedTuple):
@@ -460,11 +460,11 @@ def _looked_at(vehicle: Vehicle, mission: Mission, gap_s: float | None, counted:
     fixes = _after_gaps(track, giving)
     if not fixes:
         raise ValueError(_no_gap(mission, track, giving))
-    digest = _digest(mission, fixes)
+    digest = _digest(vehicle, mission)
     if same := [name for name, other in counted if other == digest]:
         raise ValueError(
-            f'mission "{mission.name}" holds the same fixes as "{same[0]}", which was counted already: given twice, it '
-            "would be believed twice. Leave it out."
+            f'mission "{mission.name}" holds the same readings as "{same[0]}", which was counted already: given twice, '
+            "it would be believed twice. Leave it out."
         )
     return _Run(vehicle, mission, track, fixes, digest)
 
@@ -522,14 +522,8 @@ def _frozen(vehicle: Vehicle) -> Vehicle:
 
 def _after_gaps(track: Track, giving: Sequence[str]) -> list[_Fix]:
     """The first fix after each gap: between fixes, or from the start to the first one."""
-    rows: list[tuple[float, str]] = []
-    for name in giving:
-        residuals = track.residuals[name]
-        good = np.isfinite(residuals.value[:, :2]).all(axis=1)
-        rows += [(float(time_s), name) for time_s in residuals.time_s[good]]
-    rows.sort()
     fixes, last = [], float(track.time_s[0])
-    for time_s, name in rows:
+    for time_s, name in _read_fixes(track, giving):
         if time_s - last >= LEAST_GAP_S:
             sensor = track.vehicle.sensors[name]
             blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models[:2]]
@@ -537,6 +531,17 @@ def _after_gaps(track: Track, giving: Sequence[str]) -> list[_Fix]:
             fixes.append(_Fix(name, time_s, time_s - last, variance))
         last = time_s
     return fixes
+
+
+def _read_fixes(track: Track, giving: Sequence[str]) -> list[tuple[float, str]]:
+    """Times [s] of all fixes that were read, and of which sensor."""
+    found: list[tuple[float, str]] = []
+    for name in giving:
+        if name in track.residuals:
+            residuals = track.residuals[name]
+            good = np.isfinite(residuals.value[:, :2]).all(axis=1)
+            found += [(float(time_s), name) for time_s in residuals.time_s[good]]
+    return sorted(found)
 
 
 def _misses(track: Track, fixes: Sequence[_Fix]) -> tuple[Array, Array]:
@@ -585,10 +590,10 @@ def _grid(run: _Run, names: Sequence[str]) -> Array:
     return scores
 
 
-def _digest(mission: Mission, fixes: Sequence[_Fix]) -> str:
-    """What tells a dive from another: its fixes."""
+def _digest(vehicle: Vehicle, mission: Mission) -> str:
+    """What tells a dive from another, whichever of its fixes are given: what its drive has read."""
     of = 0
-    for name in dict.fromkeys(fix.sensor for fix in fixes):
+    for name in vehicle.driving:
         stream = mission.stream(name)
         of = zlib.crc32(np.ascontiguousarray(stream.value).tobytes(), zlib.crc32(stream.time_s.tobytes(), of))
     return f"{of:08x}"
@@ -596,7 +601,7 @@ def _digest(mission: Mission, fixes: Sequence[_Fix]) -> str:
 
 def _no_gap(mission: Mission, track: Track, giving: Sequence[str]) -> str:
     """Why a dive tells nothing, and what can be done."""
-    count = sum(int(np.isfinite(track.residuals[name].value[:, :2]).all(axis=1).sum()) for name in giving)
+    count = len(_read_fixes(track, giving))
     if not count:
         return (
             f'mission "{mission.name}" has no fix of {", ".join(giving)} that was read: a dive is judged by one at its '

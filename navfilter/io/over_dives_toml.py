@@ -3,7 +3,7 @@
 Comments, units and all else stay. The tables are::
 
     [learnt]
-    dives = [["dive_041", "5e2a91c0"], ..]      # what has been counted: name, and a number that tells its fixes
+    dives = [["dive_041", "5e2a91c0"], ..]      # what has been counted: name, and a number that tells its readings
 
     [learnt.sensors.dvl]
     described = [[{model = "white", sd = 0.01}], ..]   # before the first dive, by axis
