@@ -26,10 +26,12 @@ from __future__ import annotations
 import math
 import multiprocessing
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import car_clocks
@@ -57,6 +59,10 @@ HOWS: dict[str, float | str] = {
     "sd / 5": 0.2,
     "sd x 5": 5.0,
 }
+#: What is described in seven ways, and learns: fixes, hidden most of the time, do not.
+LEARNT = ("heading", "velocity")
+#: Longer than any recording [s].
+EVER_S = 1e9
 #: Bootstraps of the ratios.
 DRAWS, SEED = 2000, 1
 
@@ -111,7 +117,7 @@ def case(kind: str, name: str) -> tuple[Mission, Vehicle, float]:
     if kind == "yacht":
         (sailed,) = over_water.recorded(name)
         _, vehicle = over_water.described(sailed)
-        mission = over_water.mission(sailed, math.inf, known_s=math.inf)
+        mission = over_water.mission(sailed, EVER_S, known_s=EVER_S)
         return judged_by(mission, "gps"), vehicle, over_water.KNOWN_S
     folder = {"lake": f"auv-lake-sea-10hz/{name}", "comma": f"comma2k19/{name}", "mower": "mower-plaza-5hz"}[kind]
     mission, vehicle = recorded(folder)
@@ -152,14 +158,13 @@ def gaps_of(kind: str, name: str, phase: int) -> list[tuple[float, float]]:
 def told(vehicle: Vehicle) -> tuple[str, ...]:
     """What is described in seven ways: headings and velocities, those of the drive too."""
     drive = [] if vehicle.drive.inertial else ["attitude", "velocity"]
-    return (*drive, *(n for n, s in vehicle.sensors.items() if s.observes.corrects in ("heading", "velocity")))
+    sensors = {name: s for name, s in vehicle.sensors.items() if not s.from_drive}
+    return (*drive, *(name for name, s in sensors.items() if s.observes.corrects in LEARNT))
 
 
 def described(vehicle: Vehicle, how: str) -> Vehicle:
     """The vehicle with another description of its headings and velocities."""
     for name in told(vehicle):
-        if name in vehicle.sensors and vehicle.sensors[name].from_drive:
-            continue
         models, period_s = models_of(vehicle, name)
         new = tuple(other(model, period_s, HOWS[how]) for model in models)
         vehicle = vehicle.with_error(**{name: new[0] if len(set(new)) == 1 else new})
@@ -225,10 +230,6 @@ def compared(job: tuple[str, str, str]) -> list[dict[str, Any]]:
             {"kind": kind, "recording": name, "how": how, "file": a, "learnt": b} for a, b in zip(one, two, strict=True)
         ]
     return rows
-
-
-#: Sensors that learn: those that are not hidden most of the time.
-LEARNT = ("heading", "velocity")
 
 
 def lesson(job: tuple[str, str, str]) -> tuple[tuple[str, str, str], OverDives]:
@@ -297,18 +298,22 @@ COLUMNS = (
 )
 
 
-def printed(rows: Sequence[Mapping[str, Any]], kinds: Iterable[str], hows: Sequence[str], more: str = "") -> Any:
-    """A line for each kind and description, and one for all descriptions of a kind."""
-    table = Table(COLUMNS + more)
-    for kind in kinds:
-        of_kind = [row for row in rows if row["kind"] == kind]
-        for how in hows:
-            some = [row for row in of_kind if row["how"] == how]
-            if some:
-                table.add(figures(some, kind=kind, how=how))
-        if of_kind and len(hows) > 1:
-            table.add(together(of_kind, kind))
-    return table.rows
+def printed(results: Iterator[list[dict[str, Any]]], jobs: Sequence[tuple[Any, ...]], more: str = "") -> Any:
+    """A line for each kind and description, as they come, and one for all descriptions of a kind; the lines, and the
+    number of gaps.
+    """
+    table, count = Table(COLUMNS + more), 0
+    for kind, of_kind in groupby(jobs, key=lambda job: job[0]):
+        rows: list[dict[str, Any]] = []
+        hows = 0
+        for how, of_how in groupby(of_kind, key=lambda job: job[2]):
+            some = [row for _ in of_how for row in next(results)]
+            table.add(figures(some, kind=kind, how=how))
+            rows, hows = rows + some, hows + 1
+        if hows > 1:
+            table.add(together(rows, kind))
+        count += len(rows)
+    return table.rows, count
 
 
 def together(rows: Sequence[Mapping[str, Any]], kind: str) -> dict[str, Any]:
@@ -334,39 +339,33 @@ def gaps(options: Options) -> dict[str, Any]:
         some = all_of[options.half == "even" :: 2] if options.half and len(all_of) > 1 else all_of
         return some[: 2 if options.quick else None]
 
-    jobs = [(kind, name, how) for kind in kinds for name in names(kind) for how in hows]
+    jobs = [(kind, name, how) for kind in kinds for how in hows for name in names(kind)]
     with workers(options) as run:
-        rows = [row for found in run(compared, jobs) for row in found]
-        result = {"gaps": len(rows), "in_the_mission": printed(rows, kinds, hows)}
-        print(f"{len(rows) // len(hows)} gaps, each with {len(hows)} descriptions")
+        table, count = printed(iter(run(compared, jobs)), jobs)
+        result: dict[str, Any] = {"gaps": count, "in_the_mission": table}
+        print(f"{count} gaps in all, in {len(hows)} descriptions")
         if options.over_dives:
             jobs = [job for job in jobs if job[0] in TAUGHT and (job[0] == "dive" or job[2] == "as set")]
+            jobs = [job for job in jobs if len(names(job[0])) > 1]
+            print("\nover dives, each recording by what all others of its kind have taught:", flush=True)
             said = {job: found.dives[0].evidence for job, found in run(lesson, jobs)}
             left_out = [
                 (kind, name, how, [said[kind, other, how] for other in names(kind) if other != name])
                 for kind, name, how in jobs
-                if len(names(kind)) > 1
             ]
-            print("\nover dives, each recording by what all others of its kind have taught:")
-            rows = [row for found in run(taught, left_out) for row in found]
-            result["over_dives"] = printed(rows, TAUGHT, hows, " of_set>6.2f of_set_se>9.3f")
+            results = iter(run(taught, left_out))
+            result["over_dives"], _ = printed(results, left_out, " of_set>6.2f of_set_se>9.3f")
     return result
 
 
-class workers:
-    """So many processes, or none beside this one, as a function like `map`."""
-
-    def __init__(self, options: Options) -> None:
-        self.pool = None
-        if options.workers > 1:
-            self.pool = ProcessPoolExecutor(options.workers, multiprocessing.get_context("spawn"))
-
-    def __enter__(self) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]:
-        return map if self.pool is None else self.pool.map
-
-    def __exit__(self, *_: object) -> None:
-        if self.pool is not None:
-            self.pool.shutdown(cancel_futures=True)
+@contextmanager
+def workers(options: Options) -> Iterator[Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]]:
+    """What works like `map`, on so many processes."""
+    if options.workers < 2:
+        yield map
+        return
+    with ProcessPoolExecutor(options.workers, multiprocessing.get_context("spawn")) as pool:
+        yield pool.map
 
 
 if __name__ == "__main__":
