@@ -41,7 +41,7 @@ import over_water
 from harness import Array, Options, Table, data_root, flag, main, quick, recorded
 from recordings import known_until
 
-from navfilter.calibration.over_dives import TOGETHER, OverDives, learn, models_of, pooled
+from navfilter.calibration.over_dives import LEAST_GAP_S, TOGETHER, OverDives, learn, models_of, pooled
 from navfilter.evaluation.baselines import learnable, rival
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
@@ -236,12 +236,14 @@ def lesson(job: tuple[str, str, str]) -> tuple[tuple[str, str, str], OverDives]:
     """What one recording says of a description, by its fixes after gaps; of a dive by the last one."""
     kind, name, how = job
     mission, vehicle, begin = case(kind, name)
-    hidden = mission
-    for fix in fix_names(vehicle):
-        times = mission.streams[fix].time_s
-        gaps = [(begin + 1e-6, float(times[-1]) - 0.5)] if kind == "dive" else gaps_of(kind, name, 0)
-        hidden = hidden.hide(fix, *gaps)
-    return job, learn(hidden, described(vehicle, how))
+    (fix,) = fix_names(vehicle)
+    times = mission.streams[fix].time_s
+    if kind == "dive":
+        return job, learn(mission.hide(fix, (begin + 1e-6, float(times[-1]) - 0.5)), described(vehicle, how))
+    # the phase in which most fixes come after a gap: a short trial may end in one
+    phases = [mission.hide(fix, *gaps_of(kind, name, phase)) for phase in range(KINDS[kind].phases)]
+    most = max(phases, key=lambda one: int(np.sum(np.diff(one.streams[fix].time_s) > LEAST_GAP_S)))
+    return job, learn(most, described(vehicle, how))
 
 
 def taught(job: tuple[str, str, str, list[dict[str, Array]]]) -> list[dict[str, Any]]:
