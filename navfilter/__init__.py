@@ -29,6 +29,7 @@ _FACE = {
     "models.alignment": "align",
     "calibration.beacons": "locate_beacons",
     "calibration.calibrate": "Calibration calibrate",
+    "calibration.over_dives": "learn",
     "timeseries.fit": "fit_arma",
     "timeseries.model": "ArmaModel simulate_arma",
     "timeseries.online.recursive": "RecursiveArma",
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from navfilter.calibration.beacons import locate_beacons as locate_beacons
     from navfilter.calibration.calibrate import Calibration as Calibration
     from navfilter.calibration.calibrate import calibrate as calibrate
+    from navfilter.calibration.over_dives import learn as learn
     from navfilter.evaluation.baselines import rival as rival
     from navfilter.evaluation.comparison import Comparison as Comparison
     from navfilter.evaluation.comparison import compare as compare

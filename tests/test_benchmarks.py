@@ -26,6 +26,7 @@ SCRIPTS = {
     "faults": ("without a fault", ("missions", "outcomes", "fault_free", "service")),
     "faults_random": ("without the fault", ()),
     "fuzz": ("no other software", ()),
+    "gaps": ("No other", ()),
     "gliders": ("plain dead reckoning", ()),
     "gnss_heading": ("no other software", ()),
     "gnss_ins": ("KF-GINS", ()),
@@ -161,3 +162,23 @@ def test_the_page_of_faults_has_the_faults_of_the_benchmark():
         del sys.path[0]
     rows = {line.split(" | ")[0].strip("| ") for line in page.splitlines() if line.startswith("| ")} - {"fault"}
     assert rows == {*faults_outcomes.SITUATIONS, *faults_outcomes.SHOWN}
+
+
+def test_ratios_of_gaps_are_means_over_recordings(monkeypatch):
+    """However many gaps a recording has: one is twice as good, one twice as bad."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import gaps
+
+    import navfilter as nf
+
+    rows = [{"kind": "car", "recording": "a", "file": (4.0, 2.0), "learnt": (1.0, 1.0)}] * 3
+    rows += [{"kind": "car", "recording": "b", "file": (1.0, 2.0), "learnt": (4.0, 1.0)}]
+    found = gaps.figures(rows, kind="car", how="as set")
+    assert found["gaps"] == 4 and found["ratio"] == pytest.approx(1.0) and found["learnt_nees"] == 1.0
+    assert found["low"] == pytest.approx(0.5) and found["high"] == pytest.approx(2.0)
+    walk, slow, white = nf.RandomWalk(density=1e-3), nf.GaussMarkov(sd=0.3, tau_s=9.0), nf.White(sd=0.4)
+    assert gaps.other(walk + slow + white, 1.0, 3.0) == walk + nf.GaussMarkov(sd=3.0 * 0.3, tau_s=9.0) + nf.White(
+        sd=3.0 * 0.4
+    )
+    assert gaps.other(slow + white, 1.0, "white").sd == pytest.approx(0.5)
+    assert gaps.other(slow + white, 1.0, "30 s").tau_s == 30.0

@@ -14,7 +14,8 @@ from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.kernels.compiling import progress
 
 HANGS_S = 600.0  # far beyond what a command takes here
-COMMANDS = ("demo", "replay", "run", "compare", "montecarlo", "identify", "simulate", "check", "vehicle", "warmup")
+COMMANDS = ("demo", "replay", "run", "compare", "learn", "montecarlo", "identify", "simulate", "check", "vehicle")
+COMMANDS += ("warmup",)
 OUTPUTS = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
 
 

@@ -249,7 +249,7 @@ def test_every_mistake_at_once(tmp_path):
         'sensors.learning.error.prior: there is no kind "learned-arma"; ',
         "sensors.adopted.error.adopted.sd: must be >= 0; found -1.",
         'sensors.adopted.error.adopted.flag: unknown key; did you mean "flags"? known keys: ',
-        'nam: unknown key; did you mean "name"? known keys: dead_reckoning_lane, drive, imus, name, sensors.',
+        'nam: unknown key; did you mean "name"? known keys: dead_reckoning_lane, drive, imus, learnt, name, sensors.',
     ]
     assert first.endswith(f"{len(found)} mistakes:")
     for begin in expected:

@@ -1,5 +1,5 @@
-"""The command line: ``navfilter demo | replay | run | compare | calibrate | montecarlo | identify | simulate | check |
-mission | vehicle | warmup``.
+"""The command line: ``navfilter demo | replay | run | compare | calibrate | learn | montecarlo | identify | simulate |
+check | mission | vehicle | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used,
 so that ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something
@@ -48,14 +48,15 @@ first steps:
   navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
   navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
   navfilter calibrate dive/mission.npz --vehicle dive/vehicle.toml --out calibrated.toml
+  navfilter learn dive_0* --vehicle vehicle.toml --out learnt.toml     how the sensors err, for the next dive
   navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
   navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
 
 'navfilter COMMAND --help' explains one command.
 
 exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
-replay, demo), or nothing better was found (calibrate), 2 wrong usage or input, 3 the track is not judged (replay),
-130 interrupted.
+replay, demo), or nothing better was found (calibrate, learn), 2 wrong usage or input, 3 the track is not judged
+(replay), 130 interrupted.
 """
 
 
@@ -117,6 +118,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_run,
         _add_compare,
         _add_calibrate,
+        _add_learn,
         _add_montecarlo,
         _add_identify,
         _add_simulate,
@@ -182,6 +184,15 @@ def _add_calibrate(commands: Any) -> None:
     from navfilter.commands import calibrate as command
 
     command.add_arguments(_command(commands, "calibrate", command.run, command.ABOUT, command.EPILOG))
+
+
+# --- learn ----------------------------------------------------------------------------------------------------------
+
+
+def _add_learn(commands: Any) -> None:
+    from navfilter.commands import learn as command
+
+    command.add_arguments(_command(commands, "learn", command.run, command.ABOUT, command.EPILOG))
 
 
 # --- run ------------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from navfilter.models.sensors.traits import shown_unit
 from navfilter.timeseries.model import ArmaModel
 from navfilter.track.track import Track
 
-__all__ = ["LearnedText", "Scale", "error_words", "in_force", "learnt", "model_words"]
+__all__ = ["LearnedText", "Scale", "density_of", "error_words", "in_force", "learnt", "model_words"]
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class LearnedText:
 
     def believed_spectrum(self, freq_hz: Array) -> Array:
         """Density of what was believed [unit^2/Hz, as shown], shape (n,)."""
-        return self.scale.factor**2 * _density(self.believed, freq_hz, self.scale.rate_hz)
+        return self.scale.factor**2 * density_of(self.believed, freq_hz, self.scale.rate_hz)
 
 
 def learnt(track: Track) -> tuple[LearnedText, ...]:
@@ -263,7 +263,7 @@ def _seconds(value: float) -> str:
     return f"{value:.0f} s" if value >= 10.0 else f"{number(value, 2)} s"
 
 
-def _density(model: ErrorModel, freq_hz: Array, rate_hz: float) -> Array:
+def density_of(model: ErrorModel, freq_hz: Array, rate_hz: float) -> Array:
     """One-sided density of any error model through its block [unit^2/Hz], shape (n,)."""
     block = model.block(1.0 / rate_hz)
     density = np.full(len(freq_hz), block.r)

@@ -17,7 +17,7 @@ from navfilter.io.vehicle_keys import spellings
 from navfilter.io.vehicle_toml import VehicleError, read_vehicle, vehicle_file, write_vehicle
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["write_calibrated"]
+__all__ = ["Unclear", "edited", "write_calibrated"]
 
 #: Fields that a calibration sets.
 _FIELDS = (
@@ -38,7 +38,7 @@ _FIELDS = (
 _DIGITS = 7
 
 
-class _Unclear(Exception):
+class Unclear(Exception):
     """The text is laid out in a way that is not followed here."""
 
 
@@ -73,11 +73,11 @@ def write_calibrated(
         text = file.read_text(encoding="utf-8")
         try:
             for part, new, old in _parts(vehicle, before):
-                text = _edited(text, part, _keys(new, old), remark)
+                text = edited(text, part, _keys(new, old), remark)
             path.write_text(text, encoding="utf-8")
             if _alike(read_vehicle(path), vehicle):
                 return True
-        except (_Unclear, VehicleError, ValueError):
+        except (Unclear, VehicleError, ValueError):
             pass
     write_vehicle(vehicle, path)
     return False
@@ -126,8 +126,24 @@ def _text(value: float | tuple[float, ...], angle: bool) -> str:
     return repr(number)
 
 
-def _edited(text: str, part: tuple[str, ...], keys: Mapping[str, str], remark: str) -> str:
-    """The text with these keys of one table set."""
+def edited(text: str, part: tuple[str, ...], keys: Mapping[str, str], remark: str) -> str:
+    """The text of a vehicle.toml with keys of one table set.
+
+    Parameters
+    ----------
+    text : str
+    part : tuple of str
+        The table: ("sensors", "dvl"), ("drive",).
+    keys : dict of str to str
+        Lines to be there, by the field that they set; however it was spelled before.
+    remark : str
+        A comment above them.
+
+    Raises
+    ------
+    Unclear
+        When the table is laid out in a way that is not followed here.
+    """
     if not keys:
         return text
     name = part[-1]
@@ -139,7 +155,7 @@ def _edited(text: str, part: tuple[str, ...], keys: Mapping[str, str], remark: s
         end = header.end() + following.start() if following else len(text)
         return _in_section(text, header.end(), end, keys, remark)
     if len(part) != 2:
-        raise _Unclear
+        raise Unclear
     return _inline(text, part[0], spelled, keys)
 
 
@@ -178,10 +194,10 @@ def _inline(text: str, owner: str, spelled: str, keys: Mapping[str, str]) -> str
     """The table stands in braces in the section of its owner."""
     header = re.search(rf"^[ \t]*\[\s*{owner}\s*\][^\n]*\n", text, flags=re.MULTILINE)
     if header is None:
-        raise _Unclear
+        raise Unclear
     found = re.compile(rf"^[ \t]*{spelled}[ \t]*=[ \t]*(?=\{{)", flags=re.MULTILINE).search(text, header.end())
     if found is None:
-        raise _Unclear
+        raise Unclear
     last = closing(text, found.end()) - 1
     inner = text[found.end() : last]
     for field in keys:

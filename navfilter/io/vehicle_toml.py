@@ -130,6 +130,48 @@ def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     return path
 
 
+def read_learnt(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """The table ``[learnt]`` of a vehicle.toml as plain values, its descriptions as error models by axis; None without
+    one.
+
+    Raises
+    ------
+    VehicleError
+        As `read_vehicle`.
+    """
+    path = vehicle_file(path)
+    whole: Any = validate(_vehicle_spec(_kinds()), read_toml(path, VehicleError), path, VehicleError)
+    spec = whole.learnt
+    if spec is None:
+        return None
+    wrong: list[tuple[str, str]] = []
+    table: dict[str, Any] = {"dives": spec.dives, "together": spec.together, "sensors": {}}
+    for name, sensor in spec.sensors.items():
+        axes = tuple(_object(parts, f"learnt.sensors.{name}.described", wrong, {}) for parts in sensor.described)
+        given = {key: getattr(sensor, key) for key in ("quick", "slow", "evidence")}
+        table["sensors"][name] = {"described": axes, **given}
+    if wrong:
+        raise listed(path, [f"{place}: {text}" for place, text in wrong], VehicleError)
+    return table
+
+
+def error_text(error: ErrorModel | tuple[ErrorModel, ...], axes: tuple[str, ...]) -> str:
+    """An error as the value of its key in a vehicle.toml, in SI; of a tuple one for each of the axes."""
+    if isinstance(error, tuple):
+        return _toml({axis: _part_text(model) for axis, model in zip(axes, error, strict=True)})
+    return _toml(_part_text(error))
+
+
+def described_text(models: tuple[ErrorModel, ...]) -> str:
+    """Error models by axis, each as the list of its parts, as `read_learnt` takes them."""
+    parts = [model.parts if isinstance(model, Sum) else (model,) for model in models]
+    return _toml([[_table(part) for part in of_axis] for of_axis in parts])
+
+
+def _part_text(model: ErrorModel) -> Any:
+    return [_table(part) for part in model.parts] if isinstance(model, Sum) else _table(model)
+
+
 def learnt_keys(part: LearnedArma) -> dict[str, str]:
     """What a learner has adopted, as `read_vehicle` takes it: values as text by the keys of the model's table."""
     table = _table(part)
@@ -334,6 +376,25 @@ def _shape(value: Any) -> str:
 
 
 @cache
+def _learnt_spec(kinds: Kinds) -> type[Strict]:
+    """What `navfilter learn` keeps of the dives that taught a description: no part of the vehicle, see
+    `navfilter.io.over_dives_toml`.
+    """
+    pair: Any = Annotated[list[float], Field(min_length=2, max_length=2)]
+    grid: Any = Annotated[list[list[float]], Field(min_length=1)]
+    one: Any = _union("model", _concrete(ErrorModel, kinds), kinds)
+    fields: dict[str, Any] = {"described": (list[Annotated[list[one], AfterValidator(_not_empty)]], ...)}
+    fields |= {"quick": (pair, ...), "slow": (pair, ...), "evidence": (grid, ...)}
+    sensor = create_model("LearntSensorTable", __base__=Strict, **fields)
+    whole: dict[str, Any] = {
+        "dives": (list[Annotated[list[str], Field(min_length=2, max_length=2)]], ...),
+        "sensors": (Annotated[dict[str, sensor], Field(min_length=1)], ...),  # type: ignore[valid-type]
+        "together": (grid | None, None),
+    }
+    return create_model("LearntTable", __base__=Strict, **whole)
+
+
+@cache
 def _vehicle_spec(kinds: Kinds) -> type[Strict]:
     sensors: Any = _union("type", _concrete(Sensor, kinds), kinds)
     fields: dict[str, Any] = {
@@ -342,6 +403,7 @@ def _vehicle_spec(kinds: Kinds) -> type[Strict]:
         "imus": (dict[str, _spec_of(Imu, kinds)], Field(default_factory=dict)),  # type: ignore[misc]
         "dead_reckoning_lane": (Annotated[bool, Field(strict=True)] | None, None),
         "sensors": (dict[Annotated[str, AfterValidator(_sensor_name)], sensors], Field(default_factory=dict)),
+        "learnt": (_learnt_spec(kinds) | None, None),
     }
     return create_model("VehicleTable", __base__=Strict, **fields)
 
