@@ -29,11 +29,12 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import navfilter as nf
-from navfilter.evaluation.adaptive import RULES
-from navfilter.evaluation.baselines import replay_rival, rival
+from navfilter.evaluation.adaptive import RULES, adaptive_monitor
+from navfilter.evaluation.baselines import rival
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.io import read_mission, read_vehicle
 from navfilter.models.mission import Stream
+from navfilter.playback.replay import replay_monitored
 
 FOLDER = MAPPINGS / "snapir-auv-100hz"
 DIVES = tuple(sorted(int(path.name) for path in FOLDER.iterdir()))
@@ -241,12 +242,13 @@ def track_of(name: str, case: Case) -> nf.Track:
     """
     vehicle, mission = case.vehicle, case.mission
     noisy = [sensor for sensor in vehicle.sensors if sensor != "depth"]
-    if name in RULES:
-        return replay_rival(name, ungated(rival(name, vehicle, mission, sensors=noisy)), mission, noisy)
+    if name in RULES or name == "no gate":
+        described = vehicle if name == "no gate" else rival(name, vehicle, mission, sensors=noisy)
+        rule, adapt = (Fixed, None) if name == "no gate" else (RULES[name], noisy)
+        return replay_monitored(described, mission, adaptive_monitor(described, rule, adapt, gated=False))
     told = nf.GaussMarkov(sd=0.5 * DEG, tau_s=60.0) + nf.White(sd=0.05 * DEG)
     learnt = {"dvl": nf.LearnedArma(prior=vehicle.sensors["dvl"].models[0]), "compass": nf.LearnedArma()}
     made: dict[str, Callable[[], nf.Vehicle]] = {
-        "no gate": lambda: ungated(vehicle),
         "described": lambda: vehicle,
         "learnt": lambda: vehicle.with_error(**{sensor: learnt[sensor] for sensor in noisy}),
         "compass learnt": lambda: vehicle.with_error(compass=learnt["compass"]),
@@ -255,10 +257,18 @@ def track_of(name: str, case: Case) -> nf.Track:
     return nf.replay(made[name](), mission)
 
 
-def ungated(vehicle: nf.Vehicle) -> nf.Vehicle:
-    """A vehicle of which every reading is used."""
-    sensors = {name: replace(sensor, gate_probability=1.0 - 1e-15) for name, sensor in vehicle.sensors.items()}
-    return nf.Vehicle(vehicle.drive, sensors, vehicle.name)
+class Fixed:
+    """The rule of a filter that does not adapt."""
+
+    def __init__(self, described: Array) -> None:
+        self.described = described
+
+    def variance(self) -> Array:
+        """As described."""
+        return self.described
+
+    def update(self, innovation: Array, predicted: Array) -> None:
+        """Nothing follows from a reading."""
 
 
 def figures_of(track: nf.Track, case: Case) -> dict[str, float]:

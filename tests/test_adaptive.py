@@ -203,6 +203,21 @@ def test_a_reading_is_used_by_the_variance_that_its_rule_gives_it():
     assert len(found) == 1
 
 
+@pytest.mark.parametrize("name", ["iae", "student-t"])
+def test_without_a_gate_every_reading_is_used(name):
+    vehicle, start = (
+        nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors={"depth": nf.Depth(rate_hz=1)}),
+        nf.Start(latitude_deg=45.0, longitude_deg=-4.0, position_sd_m=0.1),
+    )
+    said = {}
+    for gated in (True, False):
+        monitor = adaptive_monitor(vehicle, RULES[name], gated=gated)
+        nav = nf.Navigator(vehicle, start, history_s=0.0, monitor=monitor)
+        nav.step(0.01, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
+        said[gated] = nav.correct("depth", 0.01, 50.0).status
+    assert said == {True: "rejected", False: "used"}
+
+
 def test_white_noise_of_the_same_variance():
     walk = nf.RandomWalk(density=0.1)
     assert as_white(nf.White(sd=0.3) + nf.GaussMarkov(sd=0.4, tau_s=5.0), 0.1).sd == pytest.approx(0.5)

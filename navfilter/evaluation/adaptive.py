@@ -252,7 +252,11 @@ RULES: dict[str, Callable[[Array], AnyRule]] = {
 
 
 def adaptive_monitor(
-    vehicle: Vehicle, rule: Callable[[Array], AnyRule], sensors: Collection[str] | None = None
+    vehicle: Vehicle,
+    rule: Callable[[Array], AnyRule],
+    sensors: Collection[str] | None = None,
+    *,
+    gated: bool = True,
 ) -> FaultMonitor:
     """The monitor of a run whose sensors weigh their readings by a rule.
 
@@ -265,16 +269,20 @@ def adaptive_monitor(
         shape (axes,).
     sensors : collection of str, optional
         Which ones adapt; default all.
+    gated : bool
+        False: these use every reading, as most papers have it.
     """
-    return _AdaptiveMonitor(vehicle, rule, tuple(vehicle.sensors if sensors is None else sensors))
+    return _AdaptiveMonitor(vehicle, rule, tuple(vehicle.sensors if sensors is None else sensors), gated)
 
 
 class _AdaptiveMonitor(FaultMonitor):
     in_batches = False
 
-    def __init__(self, vehicle: Vehicle, rule: Callable[[Array], AnyRule], sensors: Collection[str]) -> None:
+    def __init__(
+        self, vehicle: Vehicle, rule: Callable[[Array], AnyRule], sensors: Collection[str], gated: bool
+    ) -> None:
         super().__init__(vehicle)
-        self._rule, self._sensors, self._rules = rule, sensors, dict[str, AnyRule]()
+        self._rule, self._sensors, self._gated, self._rules = rule, sensors, gated, dict[str, AnyRule]()
         self._limits, self._variance = np.empty(0), np.empty(0)  # of the reading that is being judged
 
     def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
@@ -284,6 +292,9 @@ class _AdaptiveMonitor(FaultMonitor):
         if channel.name not in self._rules:
             self._rules[channel.name] = self._rule(np.array(channel.group.r))
         rule = self._rules[channel.name]
+        if not self._gated:
+            limits = limits.copy()
+            limits[1 : channel.axes + 1] = math.inf
         self._limits, self._variance = limits, rule.variance()
         if isinstance(rule, ReadingRule):  # its innovation is asked for first: see `_weigh`
             limits = limits.copy()
