@@ -23,6 +23,8 @@ SCRIPTS = {
     "campaign_scaling": ("no other software", ()),
     "cold_start": ("no other software", ()),
     "day": ("filterpy", ("live", "replay")),
+    "dive_description": ("no other software", ()),
+    "dives": ("adaptive filters", ()),
     "faults": ("without a fault", ("missions", "outcomes", "fault_free", "service")),
     "faults_random": ("without the fault", ()),
     "fuzz": ("no other software", ()),

@@ -15,6 +15,7 @@ FOLDER = Path(__file__).parent.parent / "docs" / "pages" / "examples"
 PAGES = sorted(page for page in FOLDER.glob("*.md") if page.stem != "notebook")
 #: Page -> recording (may be a pattern), and what the page calls it where that is another name.
 RAW = {
+    "auv-dvl": ("snapir-auv-1hz/*_trajectory1.csv*", ""),
     "bluerov": ("logs/ardupilot/ardusub_small.tlog", ""),
     "ros2-dvl": ("sonia-auv-pool/20160305_CIRCLE", "pool_circle"),
     "yacht": ("yacht-irene-1hz/flensburg_20130803_NMEA0004.TXT.xz", "flensburg.TXT.xz"),
@@ -43,7 +44,14 @@ def commands(page):
 
 
 def place(page, data_file, recording):
-    """The raw file, in the current folder under the name that the page calls it by."""
+    """The raw file, in the current folder under the name that the page calls it by, and files that the page has whole:
+    their first line is their name.
+    """
+    for block in blocks(page, "toml"):
+        if named := re.match(r"# ([\w/]+\.toml)\n", block):
+            path = Path(named.group(1))
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(block, encoding="utf-8")
     if page.stem in READERS:
         package, extra = READERS[page.stem]
         pytest.importorskip(package, reason=f'{package} is not installed: pip install "navfilter[{extra}]"')

@@ -49,6 +49,13 @@ def test_the_error_model_is_what_the_sensor_errs_by(followed):
     assert abs(after["swell"]) < 0.25 and after["white"] > 0.5
 
 
+def test_the_rule_for_R_makes_the_dvl_surer_of_nothing(followed):
+    described, huber = followed["huber.py"]["runs"].values()
+    assert described.residuals["dvl"].used.sum() == huber.residuals["dvl"].used.sum() > 100
+    sd = [float(run.residuals["dvl"].sd[run.residuals["dvl"].used].mean()) for run in (described, huber)]
+    assert sd[1] > 1.001 * sd[0]
+
+
 def test_the_file_formats_give_the_same_readings(followed):
     names = followed["convert.py"]
     simulated = names["mission"].streams["altimeter"].value

@@ -9,6 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import navfilter as nf
+
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 CARS = ("wid-car-rtk/00", "wid-car-rtk/02", "wid-car-rtk/08", "wid-car-rtk/10")
 AT_SEA = tuple(f"snapir-auv-1hz/{k:02d}" for k in (1, 2, 3, 5, 6, 7, 8, 10, 12))
@@ -16,11 +18,15 @@ AT_SEA = tuple(f"snapir-auv-1hz/{k:02d}" for k in (1, 2, 3, 5, 6, 7, 8, 10, 12))
 PUBLISHED_PLAIN_M = {"wid-car-rtk/00": 8.0, "wid-car-rtk/02": 3.2, "wid-car-rtk/08": 1.5, "wid-car-rtk/10": 1.0}
 
 
-@pytest.fixture(scope="module")
-def benchmark() -> ModuleType:
+def imported(name: str) -> ModuleType:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(BENCHMARKS)
-        return importlib.import_module("recordings")
+        return importlib.import_module(name)
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> ModuleType:
+    return imported("recordings")
 
 
 def test_cars_with_rtk_for_25_m(recording, benchmark):
@@ -58,3 +64,18 @@ def test_pool_circle_closes(recording, benchmark):
     recording("sonia-auv-pool/20160305_CIRCLE")
     (row,) = benchmark.rows_of("sonia-auv-pool/20160305_CIRCLE")
     assert row.end_m <= 0.6
+
+
+@pytest.mark.slow
+def test_dives_with_their_inertial_unit_know_how_far_off_they_are(recording):
+    """400 s without a fix, by a description that no truth was needed for."""
+    cases = imported("dive_cases")
+    found = []
+    for dive in cases.DIVES:
+        folder = recording(f"snapir-auv-100hz/{dive:02d}")
+        mission, vehicle = nf.read_mission(folder), nf.read_vehicle(folder)
+        figures = cases.figures_of(nf.replay(vehicle, mission), cases.Case("raw", dive, 0, False, mission, vehicle))
+        assert figures["used"] == 1.0 and figures["end_pct"] < 0.8, dive
+        found.append(figures)
+    assert sum(0.5 <= row["nees_mended"] <= 2.0 for row in found) >= 8
+    assert np.sqrt(np.mean([row["rms_m"] ** 2 for row in found])) < 1.8

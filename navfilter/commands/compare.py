@@ -50,7 +50,7 @@ the models, by name, for the sensors that correct:
   gm1-fitted   first-order Gauss-Markov                     fitted to the whole mission by likelihood: the fair baseline
   arma         learnt on the way, order and coefficients    begins with the model of vehicle.toml, sees only the past
   vehicle      as vehicle.toml says
-  iae, sage-husa, vb, imm                                   white noise that the run adapts, as the literature does
+  iae, sage-husa, vb, imm, student-t                        white noise that the run adapts, as the literature does
   oracle       the true models, from --oracle               only where the mission is simulated
 
 A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate'

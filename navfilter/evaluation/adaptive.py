@@ -1,26 +1,40 @@
 """Adaptive rivals: filters of the literature that estimate the noise R of a sensor from its innovations.
 
 They are baselines to compare with, and no part of the filter: the same mechanisation, calibration states and gate, but
-each error is white noise, whose variance a rule sets anew after every reading that was used. A rule of one's own has
-the two methods of `Rule`, and goes to `adaptive_monitor`.
+each error is white noise, whose variance a rule sets. There are two kinds of rules: a `Rule` knows the readings before,
+a `ReadingRule` the innovation of the very reading that it weighs, too. A rule of one's own has the two methods of
+either, and goes to `adaptive_monitor`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
-from typing import Any, Protocol
+from collections.abc import Callable, Collection, Iterator
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.faults.innovation_gate import whole_residual
 from navfilter.faults.monitor import FaultMonitor
+from navfilter.filter.actions import Action, Readmit
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["RULES", "Imm", "InnovationAdaptive", "Rule", "SageHusa", "VariationalBayes", "adaptive_monitor", "as_white"]
+__all__ = [
+    "RULES",
+    "Imm",
+    "InnovationAdaptive",
+    "ReadingRule",
+    "Rule",
+    "SageHusa",
+    "StudentT",
+    "VariationalBayes",
+    "adaptive_monitor",
+    "as_white",
+]
 
 Array = NDArray[np.float64]
 #: R stays within these multiples of the R that is described [1].
@@ -41,7 +55,30 @@ class Rule(Protocol):
         innovation : ndarray, shape (axes,)
             NaN where a component is missing.
         predicted : ndarray, shape (axes,)
-            Diagonal of ``H P H'`` before the correction.
+            Its variance but for R: the diagonal of ``H P H'`` before the correction.
+        """
+
+
+@runtime_checkable
+class ReadingRule(Protocol):
+    """What the white variance of a reading is, given its own innovation, too.
+
+    The gate judges by what is expected beforehand, `variance`; a reading that passes it is weighed, and used by that.
+    Of sensors of which single components may be left out, such as beams, the whole reading is judged.
+    """
+
+    def variance(self) -> Array:
+        """Expected for the next reading, shape (axes,)."""
+
+    def weigh(self, innovation: Array, predicted: Array) -> Array:
+        """Take a reading that is about to be used, and return its variance, shape (axes,).
+
+        Parameters
+        ----------
+        innovation : ndarray, shape (axes,)
+            NaN where a component is missing.
+        predicted : ndarray, shape (axes, axes)
+            Its covariance but for R: ``H P H'`` before the correction.
         """
 
 
@@ -101,9 +138,7 @@ class SageHusa:
 
 
 class VariationalBayes:
-    """Inverse gamma density of R, forgotten by rho (Sarkka and Nummenmaa, 2009), with so many iterations a reading.
-
-    The estimate of the state is that of the R before; its own iterations would need the reading to be taken anew.
+    """Inverse gamma density of R, forgotten by rho (Sarkka and Nummenmaa, 2009); R and state are iterated together.
 
     Parameters
     ----------
@@ -111,6 +146,7 @@ class VariationalBayes:
     rho : float
         Forgetting [1].
     iterations : int
+        Of a reading.
     """
 
     def __init__(self, described: Array, rho: float = 0.97, iterations: int = 5) -> None:
@@ -119,25 +155,62 @@ class VariationalBayes:
         self._beta = described.copy()
 
     def variance(self) -> Array:
-        """See `Rule`."""
+        """See `ReadingRule`."""
         return _bounded(self._beta / self._alpha, self._described)
 
-    def update(self, innovation: Array, predicted: Array) -> None:
-        """See `Rule`."""
+    def weigh(self, innovation: Array, predicted: Array) -> Array:
+        """See `ReadingRule`."""
+        known, R = np.isfinite(innovation), self.variance()
         alpha, prior = self._rho * self._alpha + 0.5, self._rho * self._beta
         beta = prior.copy()
         for _ in range(self._iterations):
-            R = _bounded(np.where(beta > 0.0, beta, self._beta) / alpha, self._described)
-            left = R / (predicted + R)  # of the innovation, and of H P H', once the reading has been taken
-            beta = prior + 0.5 * ((left * innovation) ** 2 + left * predicted)
-        known = np.isfinite(beta)
+            R = np.where(known, _bounded(beta / alpha, self._described), R)
+            left, spread = _after(innovation, predicted, R)
+            beta = prior + 0.5 * (left**2 + spread.diagonal())
         self._alpha, self._beta = np.where(known, alpha, self._alpha), np.where(known, beta, self._beta)
+        return R
+
+
+class StudentT:
+    """Student's t in place of a normal error: a reading counts by ``R / w``, iterated with the state (Huang et al.,
+    2017).
+
+    Of a reading with m components ``w = (nu + m) / (nu + tr(R^-1 (e e' + H P H')))``, ``e`` and ``P`` being what is
+    left after it was used with the w before. Nothing is remembered from reading to reading. A limit: the error of the
+    state's own prediction stays normal.
+
+    Parameters
+    ----------
+    described : ndarray, shape (axes,)
+    freedom : float
+        Degrees of freedom nu [1].
+    iterations : int
+        Of a reading.
+    """
+
+    def __init__(self, described: Array, freedom: float = 4.0, iterations: int = 5) -> None:
+        self._described, self._freedom, self._iterations = described, freedom, iterations
+
+    def variance(self) -> Array:
+        """See `ReadingRule`."""
+        return self._described
+
+    def weigh(self, innovation: Array, predicted: Array) -> Array:
+        """See `ReadingRule`."""
+        R = described = self._described
+        known = np.isfinite(innovation) & (described > 0.0)
+        for _ in range(self._iterations):
+            left, spread = _after(innovation, predicted, R)
+            distance = ((left**2 + spread.diagonal())[known] / described[known]).sum()
+            R = _bounded(described * (self._freedom + distance) / (self._freedom + known.sum()), described)
+        return R
 
 
 class Imm:
     """Three levels of R in a Markov chain (Blom and Bar-Shalom, 1988), merged into one R by their probabilities.
 
-    The states are not: one filter runs with the merged R (first-order generalised pseudo-Bayes).
+    A limit of what a rule can do: there is one filter, so that the levels have no states of their own to be mixed, and
+    the spread between them is missing in its covariance.
 
     Parameters
     ----------
@@ -167,17 +240,23 @@ class Imm:
         self._odds = np.where(known, weights / np.where(known, total, 1.0), self._odds)
 
 
+AnyRule = Rule | ReadingRule
 #: Adaptive rivals by name.
-RULES: dict[str, Callable[[Array], Rule]] = {
+RULES: dict[str, Callable[[Array], AnyRule]] = {
     "iae": InnovationAdaptive,
     "sage-husa": SageHusa,
     "vb": VariationalBayes,
     "imm": Imm,
+    "student-t": StudentT,
 }
 
 
 def adaptive_monitor(
-    vehicle: Vehicle, rule: Callable[[Array], Rule], sensors: Collection[str] | None = None
+    vehicle: Vehicle,
+    rule: Callable[[Array], AnyRule],
+    sensors: Collection[str] | None = None,
+    *,
+    gated: bool = True,
 ) -> FaultMonitor:
     """The monitor of a run whose sensors weigh their readings by a rule.
 
@@ -186,19 +265,25 @@ def adaptive_monitor(
     vehicle : Vehicle
         With white errors, see `as_white`.
     rule : callable
-        Makes the rule of a sensor from the white variances of its axes as described, shape (axes,).
+        Makes the rule of a sensor, a `Rule` or a `ReadingRule`, from the white variances of its axes as described,
+        shape (axes,).
     sensors : collection of str, optional
         Which ones adapt; default all.
+    gated : bool
+        False: these use every reading, as most papers have it.
     """
-    return _AdaptiveMonitor(vehicle, rule, tuple(vehicle.sensors if sensors is None else sensors))
+    return _AdaptiveMonitor(vehicle, rule, tuple(vehicle.sensors if sensors is None else sensors), gated)
 
 
 class _AdaptiveMonitor(FaultMonitor):
     in_batches = False
 
-    def __init__(self, vehicle: Vehicle, rule: Callable[[Array], Rule], sensors: Collection[str]) -> None:
+    def __init__(
+        self, vehicle: Vehicle, rule: Callable[[Array], AnyRule], sensors: Collection[str], gated: bool
+    ) -> None:
         super().__init__(vehicle)
-        self._rule, self._sensors, self._rules = rule, sensors, dict[str, Rule]()
+        self._rule, self._sensors, self._gated, self._rules = rule, sensors, gated, dict[str, AnyRule]()
+        self._limits, self._variance = np.empty(0), np.empty(0)  # of the reading that is being judged
 
     def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
         limits, own = super().gate(channel, z, sd, time_s)
@@ -206,15 +291,36 @@ class _AdaptiveMonitor(FaultMonitor):
             return limits, own
         if channel.name not in self._rules:
             self._rules[channel.name] = self._rule(np.array(channel.group.r))
-        return limits, self._rules[channel.name].variance()
+        rule = self._rules[channel.name]
+        if not self._gated:
+            limits = limits.copy()
+            limits[1 : channel.axes + 1] = math.inf
+        self._limits, self._variance = limits, rule.variance()
+        if isinstance(rule, ReadingRule):  # its innovation is asked for first: see `_weigh`
+            limits = limits.copy()
+            limits[0], limits[1 : channel.axes + 1] = math.inf, -1.0
+        return limits, self._variance
 
     def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
-        a, R = channel.axes, channel.R.diagonal().copy()
+        rule, a = self._rules.get(channel.name), channel.axes
+        if isinstance(rule, ReadingRule):
+            yield from self._weigh(rule, filter, channel)
         used, innovation, S = channel.verdict[2], channel.note[3 : 3 + a].copy(), channel.note[3 + a :][:a].copy()
         result: Any = yield from super().after_gate(filter, channel, time_s, frozen)
-        if used and channel.name in self._rules:
-            self._rules[channel.name].update(np.where(np.isfinite(S), innovation, np.nan), S - R)
+        if used and rule is not None and not isinstance(rule, ReadingRule):
+            rule.update(np.where(np.isfinite(S), innovation, np.nan), S - self._variance)
         return result
+
+    def _weigh(self, rule: ReadingRule, filter: FilterState, channel: Channel) -> Iterator[Action]:
+        """Use a reading that its gate has only held back, if it passes, by the variance that its rule gives it."""
+        memory, (nis, dof, _) = filter.memory, channel.verdict.tolist()
+        if not (dof and nis <= self._limits[int(dof)]) or channel.beyond_belief(memory.x):
+            return
+        white = np.diag(self._variance)
+        predicted = channel.H @ memory.P @ channel.H.T + channel.R - white
+        variance = rule.weigh(channel.note[3 : 3 + channel.axes].copy(), predicted)
+        channel.R += np.diag(variance) - white
+        yield Readmit(channel, whole_residual(channel, memory.x))
 
 
 def as_white(model: ErrorModel, period_s: float) -> ErrorModel:
@@ -239,3 +345,12 @@ def as_white(model: ErrorModel, period_s: float) -> ErrorModel:
 
 def _bounded(R: Array, described: Array) -> Array:
     return np.asarray(np.clip(R, FLOOR * described, CEILING * described))
+
+
+def _after(innovation: Array, predicted: Array, R: Array) -> tuple[Array, Array]:
+    """What is left of an innovation once it was used with this R, and of ``H P H'``; a missing one changes nothing."""
+    known = np.isfinite(innovation)
+    S = np.where(np.outer(known, known), predicted + np.diag(R), np.eye(len(R)))
+    seen = np.where(known, predicted, 0.0)
+    gain = np.linalg.solve(S, seen.T).T
+    return np.where(known, innovation, 0.0) - gain @ np.where(known, innovation, 0.0), predicted - gain @ seen.T

@@ -53,8 +53,9 @@ def rival(
         white: white noise, its sd by the likelihood of the channel (the slow navigation error estimated beside it).
         gm1: first-order Gauss-Markov through the 1/e point of the autocorrelation of the detrended series (thesis, sec.
         2.3). gm1-fitted: first-order Gauss-Markov by that likelihood. arma: `LearnedArma`, which learns under way and
-        begins with the model of the vehicle file. oracle: `truth`. vehicle: as the file says. iae, sage-husa, vb, imm:
-        white noise of the variance that the file describes; `replay_rival` adapts it (`navfilter.evaluation.adaptive`).
+        begins with the model of the vehicle file. oracle: `truth`. vehicle: as the file says. iae, sage-husa, vb, imm,
+        student-t: white noise of the variance that the file describes; `replay_rival` adapts it
+        (`navfilter.evaluation.adaptive`).
     vehicle : Vehicle
         As its operator describes it.
     mission : Mission

@@ -347,9 +347,9 @@ class Filter:
     def concluded(self, channel: Channel, time_s: float, frozen: bool, tell: Listening) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
         channel.stuck, channel.stale = frozen, False
-        nis, dof, used = channel.verdict.tolist()
+        nis, dof, _ = channel.verdict.tolist()
         widened, described = self.act(self.monitor.after_gate(self, channel, time_s, frozen), tell)
-        nis, channel.verdict[0] = described, channel.verdict[0] if widened else described
+        nis, channel.verdict[0], used = described, channel.verdict[0] if widened else described, channel.verdict[2]
         if used or widened:
             status = "used"
             if self.tape is not None:
