@@ -208,8 +208,8 @@ def of_one_way(
 
 def _reckons(channel: Channel) -> bool:
     """Whether a sensor tells the way made, if the heading is known."""
-    sensor = channel.sensor
-    return sensor.observes.corrects == "velocity" and (sensor.ground > 0 or sensor.observes is Observable.VELOCITY_BODY)
+    kind = channel.sensor.observes
+    return kind.corrects == "velocity" and (channel.ground > 0 or kind is Observable.VELOCITY_BODY)
 
 
 def direction(filter: FilterState) -> float:
