@@ -188,7 +188,7 @@ def test_timing_findings():
     assert "12.5 %" in one(t, np.where(t % 8 == 0, np.nan, noise))["empty"]
     assert "few" in one(t[:1], noise[:1])
     assert "steps of 1," in one(t, np.round(0.6 * noise))["quantised"]
-    assert "reader" in one(t, noise, "depth (a.csv): 3 stamps go back, by up to 1 s")
+    assert "reader" in one(t, noise, "depth (a.csv): 3 steps back in time, by up to 1 s")
     assert not one(t, noise).keys() - {"rate"}
 
 

@@ -170,7 +170,7 @@ def test_rows_that_cannot_be_read_are_counted(tmp_path):
     values, unreadable = table.numbers("x")
     assert unreadable == 1
     np.testing.assert_array_equal(values, [1.0, np.nan, np.nan, 5.0])
-    assert table.notes == ("a.csv: 1 rows with too many fields skipped",)
+    assert table.notes == ("a.csv: 1 row with too many fields skipped",)
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r", " \n", "\n\n", "\n ", "\x0b", " # remark\n", "\u2028"])
@@ -184,7 +184,7 @@ def test_how_lines_end_does_not_matter(tmp_path, end, last):
         "x": [1, 5],
         "name": ["one", "two"],
     }
-    assert table.notes == ("a.csv: 1 rows with too many fields skipped",)
+    assert table.notes == ("a.csv: 1 row with too many fields skipped",)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_units_axes_sentinels_and_clock(tmp_path):
     np.testing.assert_allclose(dvl.value, [[1.0, 0.2, 0.0], [np.nan] * 3, [0.0, -0.1, 0.0]], atol=1e-15)
     # 90 - (-200) = 290 deg, wrapped to -70; 90 - 450 = -360, wrapped to 0.
     np.testing.assert_allclose(np.degrees(mission.streams["compass"].value[:, 0]), [0.0, -70.0, 0.0], atol=1e-9)
-    assert any("1 rows marked invalid" in note for note in mission.notes)
+    assert any("1 row marked invalid" in note for note in mission.notes)
 
 
 def test_two_wheels_become_one_odometer(tmp_path):
@@ -301,12 +301,12 @@ def test_disorder_in_time_is_sorted_and_counted(tmp_path):
     assert mission.streams["velocity"].time_s.tolist() == [0.0, 1.0, 2.0, 3.0]
     notes = " | ".join(mission.notes)
     for words in (
-        "depth (log.csv): 1 rows without a readable time dropped",
-        "go back, by up to 1 s",
-        "1 rows have the time",
+        "depth (log.csv): 1 row without a readable time dropped",
+        "back in time, by up to 1 s",
+        "1 row with the time",
     ):
         assert words in notes
-    assert "velocity (log.csv): 1 rows with the time of the row before dropped" in notes
+    assert "velocity (log.csv): 1 row with the time of the row before dropped" in notes
 
 
 def test_bursty_stamps_rollover_and_iso_times(tmp_path):

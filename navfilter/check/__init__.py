@@ -24,11 +24,11 @@ __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text
 
 #: Words of a reader's note that is worth a look.
 GRAVER = (
-    "go back",
+    "back in time",
     "too many fields",
     "cut short",
     "no neighbour supports",
-    "no number taken",
+    "without a number",
     "without AM or PM",
     "begin anew",
 )
@@ -70,7 +70,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
         stream_name = note.split(" ", 1)[0].rstrip(":")
         known = stream_name if stream_name in mission.streams else ""
         graver: Severity = "warning" if any(words in note for words in GRAVER) else "info"
-        cure = "Late or shuffled readings: see whether the time column is the right one." if "go back" in note else ""
+        cure = "Late or shuffled readings: is the time column the right one?" if "back in time" in note else ""
         found.append(Finding(graver, "reader", known, f"the reader notes: {note}.", cure))
     if vehicle is not None:
         found += _absent(mission, vehicle)

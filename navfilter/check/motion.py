@@ -23,7 +23,6 @@ from navfilter.check.shared_motion import (
     pair_findings,
     speeding_up_findings,
 )
-from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
     height_findings,
@@ -32,6 +31,7 @@ from navfilter.check.vertical import (
     vertical_findings,
 )
 from navfilter.foundation.constants import ROUND_GRAVITY
+from navfilter.foundation.display import counted
 from navfilter.models.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
@@ -319,7 +319,7 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)
     jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
     if jumps:
-        text = f"{counted(jumps, 'jump')} faster than 60 m/s between fixes."
+        text = f"{counted(jumps, 'jumps')} faster than 60 m/s between fixes."
         yield Finding(
             "warning",
             "leaps",

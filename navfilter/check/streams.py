@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.check.finding import Finding, Severity
-from navfilter.check.units_text import counted
+from navfilter.foundation.display import counted
 from navfilter.models.mission import Array, Mission, Stream
 
 #: Readings that were buffered come faster than this one after the other [s].
@@ -25,7 +25,7 @@ def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Fin
     """Findings about one stream alone."""
     if len(stream) < 2:
         cure = "Check the file and the sentinels in the mission.toml."
-        yield Finding("error", "few", name, f"only {counted(len(stream), 'reading')}.", cure)
+        yield Finding("error", "few", name, f"only {counted(len(stream), 'readings')}.", cure)
         return
     yield from _timing(name, stream, mission)
     yield from _values(name, stream)
@@ -50,12 +50,12 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
         coarse = repeated > 0.8 * len(step)
         if coarse:
             cure = "The stamps are too coarse: export them with their fractions, or ends_only = true in time."
-        text = f"{counted(repeated, 'reading')} with the time of the one before."
+        text = f"{counted(repeated, 'readings')} with the time of the one before."
         yield Finding("error" if coarse else "warning", "stamps", name, text, cure)
     gaps = step > 5.0 * usual
     if gaps.any():
         worst = int(np.argmax(step))
-        text = f"{counted(int(gaps.sum()), 'gap')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
+        text = f"{counted(int(gaps.sum()), 'gaps')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
         # fixes are not to be had under water
         grave: Severity = "warning" if step[worst] > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
         yield Finding(

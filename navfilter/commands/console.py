@@ -193,11 +193,11 @@ def complain(text: str) -> None:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    from navfilter.kernels.compiling.progress import is_compiled
+    from navfilter.kernels.compiling.progress import is_compiled, kernel_count
 
     cold = not is_compiled("strapdown", "kalman", "measurement")
     if cold:
-        say("compiling the kernels, once: about half a minute ...")
+        say(f"compiling the kernels that are needed, once: at most {kernel_count()} ...")
     return cold
 
 

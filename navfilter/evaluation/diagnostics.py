@@ -11,13 +11,13 @@ from scipy.special import bdtrc
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.magnetic_north import north_findings
-from navfilter.check.units_text import counted
 from navfilter.evaluation.calibration_states import constant_doubts
 from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.omitted_parameters import left_out_doubts
 from navfilter.faults.imu.monitor import COUNTED
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.display import counted
 from navfilter.models.fault_bias import has_offset
 from navfilter.models.lane_missions import last_unit, of_one_unit
 from navfilter.models.mission import Mission
@@ -203,27 +203,27 @@ def _mended(run: Track, unlucky: int) -> Iterator[Finding]:
     """What contradicted everything else, and was left out or set anew for that; so often for fixes that may be."""
     where = "See in report.html, at the innovations, when and against which sensor; is the start right?"
     if count := run.counts.get("reset", 0):
-        text = f"{counted(count, 'time')} readings that agree with each other set the state anew: it had been wrong."
+        text = f"{counted(count, 'times')} readings that agree with each other set the state anew: it had been wrong."
         yield Finding("warning" if count > unlucky else "info", "reset", "", text, where)
     name = run.vehicle.drive.streams[-1]
     found = {fault: run.counts[fault] for fault in COUNTED if run.counts.get(fault, 0)}
     if count := found.pop("noisy", 0):
-        text = f"{counted(count, 'time')} an axis was noisier than vehicle.toml says: believed less meanwhile."
+        text = f"{counted(count, 'times')} an axis was noisier than vehicle.toml says: believed less meanwhile."
         yield Finding("info", "noisy", name, text)
     found.pop("spike", 0)
     if found.pop("silent", 0):
         text = "it said nothing for a while, or nothing that can be: compass and DVL carried the state as far as heard."
         yield Finding("warning", "silent", name, text, "Was the log cut, or did the unit or its driver fail?")
     if count := run.counts.get("realigned", 0):
-        text = f"{counted(count, 'time')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
+        text = f"{counted(count, 'times')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
         yield Finding("info", "realigned", name, text, where)
     if count := run.counts.get("shifted", 0):
-        text = f"{counted(count, 'time')} the bias of a gyro shifted by more than its error model allows: learnt anew."
+        text = f"{counted(count, 'times')} the bias of a gyro shifted by more than its error model allows: learnt anew."
         yield Finding(
             "info", "shifted", name, text, "If it goes on, give its RandomWalk a larger density in vehicle.toml."
         )
     if found:
-        text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'time')})" for fault, n in found.items())
+        text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'times')})" for fault, n in found.items())
         again = found.get("contradicted", 0) >= CONTRADICTED
         grade: Severity = "error" if again or found.keys() & DESCRIBED_WRONGLY else "warning"
         cure = "Check axes, units and signs in mission.toml; where these are right, the unit is broken."
