@@ -41,7 +41,7 @@ def test_on_noises_of_known_variance(name, kind):
     rule, true, found = RULES[name](np.full(5, R0)), true[0], []
     for k, values in enumerate(np.transpose(series)):
         rule.update(values, np.full(5, P))
-        assert np.all((FLOOR * R0 <= rule.variance()) & (rule.variance() <= CEILING * R0))
+        assert np.all((rule.variance() >= FLOOR * R0) & (rule.variance() <= CEILING * R0))
         if k >= 600:
             found.append(rule.variance())
     if true is not None and name != "imm":
