@@ -26,9 +26,9 @@ from navfilter.commands.console import (
     output_folder,
     positive,
     read,
-    seed,
     speaker,
     unpacked_bytes,
+    whole,
 )
 
 __all__ = ["main"]
@@ -175,7 +175,7 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
     add_force_argument(parser)
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
+        "--seed", type=whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
     )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)"
