@@ -174,7 +174,7 @@ def replayed(name: str, kinds: Sequence[str], seeds: Sequence[int]) -> list[dict
 
 def distance(outcome: watched.Outcome, mission: nf.Mission, begin_s: float, end_s: float) -> float:
     """RMS horizontal distance to the truth between two instants [m]."""
-    truth = mission.truth.buffer_input(np.isfinite(mission.truth.value[:, :2]).all(axis=1))
+    truth = mission.truth.keep(np.isfinite(mission.truth.value[:, :2]).all(axis=1))
     squares = []
     for time_s, state in outcome.states:
         if begin_s <= time_s <= min(end_s, truth.time_s[-1]):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -48,18 +49,13 @@ def walked(call: Callable[[], Any]) -> tuple[int, list[str]]:
     return calls, files
 
 
-def inputs(nav: nf.Navigator, events: list[Event]) -> dict[str, Callable[[], Any]]:
-    """One of each kind, in the order in which they are taken."""
-    compass = [e for e in events if e.sensor == "compass"]
-    sample = next(e for e in events if e.sensor == "drive")
-    first, second, third = compass[:3]
-    value = np.array(third.value)
-    return {
-        "sample": lambda: nav.step(sample.time_s, sample.value[:3], sample.value[3:]),
-        "reading": lambda: nav.correct("compass", first.time_s, first.value),
-        "reading with its own sd": lambda: nav.correct("compass", second.time_s, second.value, 0.01),
-        "reading that is refused": lambda: nav.correct("compass", third.time_s, value + 0.5),
-    }
+#: The inputs that are looked at, in the order in which they are taken: of which sensor, and how.
+INPUTS: dict[str, tuple[str, Callable[[nf.Navigator, Event], Any]]] = {
+    "sample": ("drive", lambda nav, e: nav.step(e.time_s, e.value[:3], e.value[3:])),
+    "reading": ("compass", lambda nav, e: nav.correct(e.sensor, e.time_s, e.value)),
+    "reading with its own sd": ("compass", lambda nav, e: nav.correct(e.sensor, e.time_s, e.value, 0.01)),
+    "reading that is refused": ("compass", lambda nav, e: nav.correct(e.sensor, e.time_s, np.array(e.value) + 0.5)),
+}
 
 
 def walk(options: Options) -> list[dict[str, Any]]:
@@ -73,9 +69,11 @@ def walk(options: Options) -> list[dict[str, Any]]:
         events = events_of(one, mission)
         nav = nf.Navigator(one, mission.start, threads=False)
         one_by_one(nav, [e for e in events if e.time_s < AFTER_S])
-        rest = [e for e in events if e.time_s >= AFTER_S]
-        for kind, call in inputs(nav, rest).items():
-            calls, files = walked(call)
+        rest = iter([e for e in events if e.time_s >= AFTER_S])
+        for kind, (sensor, call) in INPUTS.items():
+            while (event := next(rest)).sensor != sensor:
+                one_by_one(nav, [event])
+            calls, files = walked(partial(call, nav, event))
             table.add({"input": kind + name, "calls": calls, "files": len(set(files)), "changes": len(files) - 1})
             if kind.endswith("refused") and not name:
                 refused = files

@@ -73,6 +73,12 @@ def said(found_in: Mission, *severities: str) -> str:
     return "\n".join(f"{f.stream}: {f.text} {f.cure}" for f in check_mission(found_in) if f.severity in wanted)
 
 
+def codes(found_in: Mission, *severities: str) -> set[tuple[str, str]]:
+    """Stream and code of what is found."""
+    wanted = severities or ("error", "warning")
+    return {(f.stream, f.code) for f in check_mission(found_in) if f.severity in wanted}
+
+
 def test_a_sound_mission_is_left_alone():
     assert said(mission()) == ""
     text = report_text(mission(), check_mission(mission()))
@@ -82,9 +88,9 @@ def test_a_sound_mission_is_left_alone():
 
 def test_gravity():
     m = MOTION
-    assert "with z down it is -9.8" in said(mission(force=-m["force"]), "error")
+    assert ("imu", "sign") in codes(mission(force=-m["force"]), "error")
     assert 'Perhaps the unit is "g"' in said(mission(force=m["force"] / 9.81), "error")
-    assert "gravity lies mostly along the x axis" in said(mission(force=m["force"][:, [2, 1, 0]]), "error")
+    assert ("imu", "axes") in codes(mission(force=m["force"][:, [2, 1, 0]]), "error")
 
 
 def test_handedness_and_units_of_the_gyro():
@@ -94,12 +100,12 @@ def test_handedness_and_units_of_the_gyro():
     degrees = said(mission(rate=np.degrees(m["rate"])), "error")
     assert "57.3; check the unit" in degrees
     assert "the heading turns 0.017" in degrees
-    assert "one rate in a hundred" in said(mission(rate=2.0 * np.degrees(m["rate"])), "warning")
+    assert ("imu", "unit") in codes(mission(rate=2.0 * np.degrees(m["rate"])), "warning")
 
 
 def test_gyro_against_heading():
     m = MOTION
-    assert "compass: the heading turns against the gyro" in said(mission(rate=m["rate"] * [1, 1, -1]), "error")
+    assert ("compass", "sign") in codes(mission(rate=m["rate"] * [1, 1, -1]), "error")
     late = said(mission(compass_delay_s=1.0), "warning")
     # The delay is looked for in steps of 1/16 s.
     delays = [float(line.split(" is ")[1].split(" s late")[0]) for line in late.splitlines() if "late against" in line]
@@ -117,7 +123,7 @@ def test_heading_in_degrees():
 
 def test_velocity_against_position():
     m = MOTION
-    assert "the velocity is mirrored" in said(mission(velocity=mirror_case()), "error")
+    assert ("dvl", "axes") in codes(mission(velocity=mirror_case()), "error")
     knots = said(mission(velocity=m["v_b"] / 0.5144), "error")
     assert "0.51" in knots and 'unit = "kn"' in knots
     c = np.sqrt(0.5)
@@ -137,9 +143,8 @@ def mirror_case() -> np.ndarray:
 def test_heading_counted_the_other_way():
     # East-counter-clockwise instead of north-clockwise; the gyro is left out, as with a vehicle that has none.
     wrong = mission(heading=np.pi / 2 - MOTION["yaw"]).without_stream("imu")
-    text = said(wrong, "error")
-    assert "turns the wrong way against the course" in text
-    assert 'scale = -1 and offset = "90 deg"' in text
+    assert ("compass", "sign") in codes(wrong, "error")
+    assert 'scale = -1 and offset = "90 deg"' in said(wrong, "error")
 
 
 def test_mounting_without_positions():
@@ -152,13 +157,13 @@ def test_mounting_without_positions():
 def test_field_pressure_and_positions():
     m = MOTION
     up = Stream(m["t"], m["field"] * [1, -1, -1], ("field_x_T", "field_y_T", "field_z_T"))
-    assert "Its z axis is not down" in said(mission().with_stream("mag", up), "error")
+    assert ("mag", "sign") in codes(mission().with_stream("mag", up), "error")
     weak = Stream(m["t"], m["field"] * 1e-3, up.columns)
-    assert "the Earth's is 22 to 67" in said(mission().with_stream("mag", weak), "warning")
+    assert ("mag", "unit") in codes(mission().with_stream("mag", weak), "warning")
     gauge = Stream(m["t"], 10.0 + 0.1 * m["t"], ("pressure_Pa",))
-    assert "Check the unit" in said(mission().with_stream("pressure", gauge), "error")
+    assert ("pressure", "unit") in codes(mission().with_stream("pressure", gauge), "error")
     degrees = Stream(m["t"], np.degrees(m["place"]), PLACE)
-    assert "latitudes beyond 90 deg" in said(mission().with_stream("gps", degrees), "error")
+    assert ("gps", "unit") in codes(mission().with_stream("gps", degrees), "error")
     jump = m["place"].copy()
     jump[500] += [0.001, 0.0, 0.0]
     assert "2 jumps faster" in said(mission().with_stream("gps", Stream(m["t"], jump, PLACE)), "warning")
@@ -169,23 +174,22 @@ def test_timing_findings():
     rng = np.random.default_rng(5)
     noise = rng.standard_normal(200)
 
-    def one(time_s: np.ndarray, value: np.ndarray, notes: tuple[str, ...] = ()) -> str:
-        return said(
-            Mission("x", {"depth": Stream(time_s, value, ("depth_m",))}, notes=notes), "error", "warning", "info"
-        )
+    def one(time_s: np.ndarray, value: np.ndarray, *notes: str) -> dict[str, str]:
+        found = check_mission(Mission("x", {"depth": Stream(time_s, value, ("depth_m",))}, notes=notes))
+        return {f.code: f.text for f in found}
 
-    assert "200 readings from 0.00 to 199.00 s, 1 Hz" in one(t, noise)
-    gappy = t + 50.0 * (t > 100)
-    assert "1 gap, the longest 51 s at 100.00 s" in one(gappy, noise)
-    assert "1 reading with the time of the one before" in one(np.where(t == 7.0, 6.0, t), noise)
-    assert "in bursts?" in one(np.floor(t / 5.0) * 5.0 + 1e-3 * (t % 5), noise)
-    assert "repeat the one before" in one(t, np.repeat(noise[:20], 10))
-    assert "no value ever changes" in one(t, np.ones(200))
-    assert "no reading has a value" in one(t, np.full(200, np.nan))
-    assert "12.5 % of the readings are invalid" in one(t, np.where(t % 8 == 0, np.nan, noise))
-    assert "only 1 reading." in one(t[:1], noise[:1])
-    assert "quantised in steps of 1" in one(t, np.round(0.6 * noise))
-    assert "late or shuffled" in one(t, noise, ("depth (a.csv): 3 stamps go back, by up to 1 s",)).lower()
+    assert "200 readings from 0.00 to 199.00 s, 1 Hz" in one(t, noise)["rate"]
+    assert "51 s at 100.00 s" in one(t + 50.0 * (t > 100), noise)["gap"]
+    assert one(np.where(t == 7.0, 6.0, t), noise)["stamps"].startswith("1 ")
+    assert "stamps" in one(np.floor(t / 5.0) * 5.0 + 1e-3 * (t % 5), noise)
+    assert "held" in one(t, np.repeat(noise[:20], 10))
+    assert "stuck" in one(t, np.ones(200))
+    assert "empty" in one(t, np.full(200, np.nan))
+    assert "12.5 %" in one(t, np.where(t % 8 == 0, np.nan, noise))["empty"]
+    assert "few" in one(t[:1], noise[:1])
+    assert "steps of 1," in one(t, np.round(0.6 * noise))["quantised"]
+    assert "reader" in one(t, noise, "depth (a.csv): 3 steps back in time, by up to 1 s")
+    assert not one(t, noise).keys() - {"rate"}
 
 
 def test_a_stream_that_ends_before_the_others_is_named():
@@ -194,17 +198,17 @@ def test_a_stream_that_ends_before_the_others_is_named():
     for name in ("imu", "dvl"):
         stream = whole.streams[name]
         cut = {**whole.streams, name: stream.keep(stream.time_s < 0.5 * end_s)}
-        said = [f for f in check_mission(Mission("cut", cut)) if f.stream == name and "before the others" in f.text]
+        said = [f for f in check_mission(Mission("cut", cut)) if f.stream == name and f.code == "span"]
         assert [f.severity for f in said] == ["warning"], name
-    assert not [f for f in check_mission(whole) if "before the others" in f.text]
+    assert not [f for f in check_mission(whole) if f.code == "span"]
     # a vehicle that ends its mission under water has no fixes there
     fixes = whole.streams["gps"]
     dived = Mission("dived", {**whole.streams, "gps": fixes.keep(fixes.time_s < 0.5 * end_s)})
-    assert [f.severity for f in check_mission(dived) if "before the others" in f.text] == ["info"]
+    assert [f.severity for f in check_mission(dived) if f.code == "span"] == ["info"]
 
 
 def test_empty_mission():
-    assert "there is no stream" in said(Mission("x"))
+    assert codes(Mission("x")) == {("", "stream")}
     assert "none" in report_text(Mission("x"), check_mission(Mission("x")))
 
 
@@ -222,16 +226,8 @@ def test_vehicle_and_mission_are_compared(recording):
     found = check_mission(mission(), vehicle)
     errors = {f.stream for f in found if f.severity == "error"}
     assert errors == {"attitude", "velocity", "depth", "usbl"}
-    assert {f.stream for f in found if "is not used" in f.text} == {"imu", "compass", "dvl", "gps"}
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["wid-car-rtk/00", "wid-car-rtk/08", "snapir-auv-1hz/03", "auv-lake-sea-10hz/20220625_0_0", "comma2k19/segment40"],
-)
-def test_recordings_pass(recording, name):
-    found = check_mission(read_mission(recording(name)), read_vehicle(recording(name)))
-    assert [f for f in found if f.severity == "error"] == []
+    unused = {f.stream for f in found if f.code == "stream" and f.severity == "info"}
+    assert unused == {"imu", "compass", "dvl", "gps"}
 
 
 def test_recordings_with_their_known_defects_undone(recording):
@@ -242,7 +238,7 @@ def test_recordings_with_their_known_defects_undone(recording):
     raw = sound.with_stream("velocity", Stream(dvl.time_s - 1.5, dvl.value, dvl.columns))
 
     def delays(found_in: Mission) -> list[float]:
-        texts = [f.text for f in check_mission(found_in, vehicle) if "against the position" in f.text]
+        texts = [f.text for f in check_mission(found_in, vehicle) if f.code == "delay"]
         return [float(text.split("about ")[1].split(" s ")[0]) * (-1 if "early" in text else 1) for text in texts]
 
     assert delays(raw) == [pytest.approx(-1.5, abs=0.5)]
@@ -288,8 +284,8 @@ def test_a_clock_that_the_vehicle_describes_is_no_finding():
     late = mission(compass_delay_s=1.0)
     compass = nf.Heading(rate_hz=8.0, time_offset_s=1.0)
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100.0), sensors={"compass": compass})
-    texts = [f.text for f in motion_findings(late, vehicle) if f.stream == "compass"]
-    assert not [text for text in texts if "late against" in text] and any("follows the gyro" in text for text in texts)
+    found = {f.code for f in motion_findings(late, vehicle) if f.stream == "compass"}
+    assert "delay" not in found and "heading" in found
 
 
 def test_coarse_readings_are_not_held_ones():
@@ -299,4 +295,4 @@ def test_coarse_readings_are_not_held_ones():
     time_s = 0.125 * np.arange(4000)
     for values, held in ((coarse, False), (np.repeat(fine[:1000], 4), True), (np.repeat(coarse[:1000], 4), True)):
         heading = Mission("x", {"compass": Stream(time_s, values[:, None], ("heading_rad",))})
-        assert ("repeat the one before" in said(heading, "warning")) == held
+        assert (("compass", "held") in codes(heading, "warning")) == held

@@ -87,7 +87,7 @@ def test_confine_equals_twin_and_keeps_what_is_within(p, q, distance):
     def coefficients(n):
         return np.atleast_1d(np.poly(some(n))).real[1:]
 
-    rows = np.array([np.r_[coefficients(p), coefficients(q), RANDOM.uniform(-50.0, 50.0, 2)] for _ in range(300)])
+    rows = np.array([np.r_[coefficients(p), coefficients(q), RANDOM.uniform(-50.0, 50.0, 2)] for _ in range(100)])
     found, expected = rows.copy(), rows.copy()
     kernels.confine(found, p, q, limits)
     naive.confine(expected, p, q, limits)

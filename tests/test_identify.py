@@ -129,8 +129,8 @@ def test_times_become_an_even_grid_with_gaps_and_without_repeats():
     assert series.value.size == 200
     assert list(np.flatnonzero(np.isnan(series.value))) == [10, 11, 12]
     assert series.rate_hz == pytest.approx(99.3, rel=0.02)
-    assert "1 rows repeat a time" in series.notes[0] and "3 samples are missing in 1 gaps" in series.notes[1]
-    with pytest.raises(MissionError, match="goes back 1 times"):
+    assert "1 row with the time" in series.notes[0] and "3 samples missing in 1 gap" in series.notes[1]
+    with pytest.raises(MissionError, match="goes back 1 time"):
         on_a_grid("x", np.r_[t, 0.0], np.r_[x, 0.0], None)
     with pytest.raises(MissionError, match=r"not 0\.001 s"):
         on_a_grid("x", t, x, 1000.0)

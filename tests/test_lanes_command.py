@@ -56,7 +56,7 @@ def test_the_verdict_says_which_lane_was_left(dive):
     mission = read_mission(dive / "mission.npz")
     track = replay(read_vehicle(dive), mission, smooth=True)
     findings = assess(labelled(track), mission).verdict.findings
-    assert [(f.stream, f.severity) for f in findings if "lane" in f.text] == [("a", "info")]
+    assert [(f.stream, f.severity) for f in findings if f.code == "lane"] == [("a", "info")]
     figure = lane_figure(track)
     assert [panel.label for panel in figure.panels] == ["in force", "gain", "NIS"]
     bars = [(part.label, part.x.tolist()) for part in figure.panels[0].parts]

@@ -194,7 +194,7 @@ def test_formats_that_contradict_themselves_are_left_out(tmp_path):
     shelf = Shelf({tmp_path / "odd.bin": {"OK": None}})
     table = shelf.table(tmp_path / "odd.bin", "OK")
     np.testing.assert_array_equal(table.raw("V"), 0.5 * np.arange(5))
-    assert any("2 formats that contradict themselves" in note for note in table.notes)
+    assert any("2 contradictory formats" in note for note in table.notes)
     assert any("10 messages of no known format" in note for note in table.notes)
 
 

@@ -44,7 +44,7 @@ depth = "value"
     np.testing.assert_array_equal(compass.time_s, [0.104, 0.204, 0.304, 0.404])
     np.testing.assert_allclose(np.degrees(compass.value[:, 0]), [123.4, 124.4, np.nan, 126.4])
     assert mission.streams["depth"].value[0, 0] == 2.5
-    assert any("1 cells that are no number" in note for note in mission.notes)
+    assert any("1 cell without a number" in note for note in mission.notes)
 
 
 def test_a_value_of_pairs_is_a_field_each(tmp_path):

@@ -141,7 +141,7 @@ def test_two_talkers_are_told_apart(tmp_path):
     path = write(
         tmp_path / "x.nmea", clock, sentence("HEHDT,100.0,T"), sentence("IIHDT,140.0,T"), sentence("HEHDT,101.0,T")
     )
-    with pytest.raises(MissionError, match=r'topic "HDT" is HEHDT \(2 records\) and IIHDT \(1 records\)'):
+    with pytest.raises(MissionError, match=r'topic "HDT" is HEHDT \(2 records\) and IIHDT \(1 record\)'):
         Shelf().table(path, "HDT")
     assert Shelf().table(path, "IIHDT").raw("headingT").tolist() == [140.0]
     assert Shelf().table(path, "*HDT").raw("headingT").tolist() == [100.0, 140.0, 101.0]
@@ -153,7 +153,7 @@ def test_wrong_and_missing_checksums_are_counted(tmp_path):
     table = Shelf().table(path, "HDT")
     assert table.raw("headingT").tolist() == [100.0]
     text = " ".join(table.notes)
-    for reason in ("1 sentences with a wrong checksum", "1 sentences without a checksum", "1 lines without a sentence"):
+    for reason in ("1 sentence with a wrong checksum", "1 sentence without a checksum", "1 line without a sentence"):
         assert reason in text
 
 

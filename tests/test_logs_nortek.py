@@ -57,4 +57,4 @@ def test_velocities_of_a_made_file_and_its_damage(tmp_path):
     began = datetime.datetime(2024, 6, 1, 12, 0, 5, 250_000, tzinfo=datetime.UTC).timestamp()
     np.testing.assert_allclose(track.raw("log_time"), [began, began + 2.0], atol=1e-6)
     notes = " ".join(track.notes)
-    assert "1 records with a wrong checksum" in notes and "7 bytes between records" in notes
+    assert "1 record with a wrong checksum" in notes and "7 bytes between records" in notes

@@ -114,4 +114,4 @@ def test_damage_costs_one_ensemble(tmp_path):
     table = Shelf().table(tmp_path / "dvl.pd0", "sensors")
     assert table.raw("ensemble").tolist() == [1, 2, 4]
     notes = " ".join(table.notes)
-    assert "1 ensembles with a wrong checksum" in notes and "1 ensemble cut short" in notes and "bytes between" in notes
+    assert "1 ensemble with a wrong checksum" in notes and "1 ensemble cut short" in notes and "bytes between" in notes

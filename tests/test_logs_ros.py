@@ -174,7 +174,7 @@ def test_an_old_bag_without_definitions_takes_those_beside_it(tmp_path):
     np.testing.assert_allclose(Shelf().table(tmp_path / "bag", "/dvl").raw("velocity.x"), [0.0, 0.1, 0.2])
 
 
-@pytest.mark.parametrize(("log", "readings", "reason"), [(BAG, 1394, "damaged"), (MCAP, 2721, "not to be found")])
+@pytest.mark.parametrize(("log", "readings", "reason"), [(BAG, 1394, "damaged"), (MCAP, 2721, "missing")])
 def test_damage_in_the_middle_is_counted(log_sample, tmp_path, log, readings, reason):
     data = bytearray(log_sample(log).read_bytes())
     middle = slice(len(data) // 2, len(data) // 2 + 300)

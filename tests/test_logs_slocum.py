@@ -53,7 +53,7 @@ def test_never_is_no_position_and_short_rows_are_counted(tmp_path):
     (tmp_path / "x.dat").write_text(f"{HEAD}m_present_time m_gps_lat m_gps_lon\ntimestamp lat lon\n8 8 8\n{rows}")
     table = Shelf().table(tmp_path / "x.dat", "glider")
     np.testing.assert_allclose(table.raw("m_gps_lat"), [np.nan, -0.5083333333333333])
-    assert any("1 rows cut short" in note for note in table.notes)
+    assert any("1 row cut short" in note for note in table.notes)
 
 
 def test_a_table_without_a_clock(tmp_path):

@@ -66,8 +66,8 @@ attitude = {columns = ["roll", "pitch", "yaw"], unit = "deg"}
     assert np.degrees(mission.streams["attitude"].value[0, 2]) == pytest.approx(19.3)
     notes = " ".join(mission.notes)
     for reason in (
-        "1 reports cut short",
-        "1 lines without a report",
+        "1 report cut short",
+        "1 line without a report",
         "1 of 4 rows left out by where (velocity_valid = true)",
     ):
         assert reason in notes

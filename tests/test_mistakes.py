@@ -2,10 +2,13 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import file_mistakes
 import mistakes_library as library
 import pytest
+
+from navfilter.check.finding import Code
 
 PAGE = Path(__file__).parent.parent / "docs" / "pages" / "mistakes.md"
 ROWS = re.findall(r"^\| ([^|]+?) \| (.+?) \| (\d) \| (.+?) \|$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -40,6 +43,13 @@ def test_a_mistake_is_noticed_as_the_manual_says(dive, name):
     assert told.code == int(code)
     # which of several doubts comes first, and in which words, depends on how far the spoiled filter went astray
     assert (verdict == "-") == (not told.noticed_by_verdict)
+
+
+def test_every_code_of_a_finding_is_explained_once():
+    table = PAGE.read_text(encoding="utf-8").split("\n## Codes\n")[1]
+    cells = re.findall(r"^\| (`.+?`) \| .+ \|$", table, flags=re.MULTILINE)
+    told = [code for cell in cells for code in re.findall(r"`([\w-]+)`", cell)]
+    assert sorted(told) == sorted(code for group in get_args(Code) for code in get_args(group))
 
 
 def test_the_table_has_every_mistake_and_none_that_is_not():

@@ -81,7 +81,8 @@ def pairs(*items):
 
 
 def channel_of(saved):
-    return filter_of(saved)["channels"]["items"][0][1]["fields"]
+    """What is remembered of the faults of the first sensor."""
+    return filter_of(saved)["monitor"]["fields"]["channels"]["items"][0][1]["fields"]
 
 
 def beginning_of(saved):
@@ -119,6 +120,7 @@ CHANGES = {
     "no time": lambda saved, arrays: filter_of(saved).pop("time_s"),
     "models of an unknown sensor": lambda saved, arrays: filter_of(saved).update(models=pairs(["x", 1])),
     "a channel too few": lambda saved, arrays: filter_of(saved)["channels"]["items"].pop(),
+    "a channel of another shape": lambda saved, arrays: filter_of(saved)["channels"]["items"][0][1].update(shape=[3]),
     "a class of another kind": lambda saved, arrays: saved["memory"]["fields"].update(
         filter={"": "Popen", "fields": {}}
     ),

@@ -92,12 +92,12 @@ def test_check_names_a_gauge_that_is_off():
     mission, good = dive(6), dive(6, told)
     off = offset_of(mission)
     assert abs(off) > 0.6
-    found = [f for f in check_mission(mission, plain) if f.stream == "depth" and "expected there" in f.text]
+    found = [f for f in check_mission(mission, plain) if f.stream == "depth" and f.code == "datum"]
     assert len(found) == 1 and "offset_sd_m" in found[0].cure and "antenna_height_m" in found[0].cure
-    found = [f for f in check_mission(mission, told) if "expected there" in f.text]
+    found = [f for f in check_mission(mission, told) if f.code == "datum"]
     assert len(found) == 1 and "antenna_height_m" not in found[0].cure
-    assert not [f for f in check_mission(good, plain) if "expected there" in f.text]
-    assert not [f for f in check_mission(mission, VEHICLE) if "expected there" in f.text]
+    assert not [f for f in check_mission(good, plain) if f.code == "datum"]
+    assert not [f for f in check_mission(mission, VEHICLE) if f.code == "datum"]
     doubted = {f.stream for f in check_vehicle(told)}
     assert "sensors.depth.offset_sd_m" in doubted
     assert "sensors.depth.offset_sd_m" not in {f.stream for f in check_vehicle(VEHICLE)}

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from navfilter.check.course import HABIT
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.magnetic_north import north_findings
 from navfilter.check.motion import compared_findings, motion_findings
@@ -25,11 +24,11 @@ __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text
 
 #: Words of a reader's note that is worth a look.
 GRAVER = (
-    "go back",
+    "back in time",
     "too many fields",
     "cut short",
     "no neighbour supports",
-    "no number taken",
+    "without a number",
     "without AM or PM",
     "begin anew",
 )
@@ -59,20 +58,20 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     """
     found: list[Finding] = []
     if not mission.streams:
-        found.append(Finding("error", "", "there is no stream.", "Add [streams.NAME] to the mission.toml."))
+        found.append(Finding("error", "stream", "", "there is no stream.", "Add [streams.NAME] to the mission.toml."))
     if (begin := mission.begin_utc) is not None and begin > datetime.now(UTC).isoformat():
         cure = (
             "Weeks of GPS counted 1024 too far, a clock that was never set, or another first day: see time and epoch."
         )
-        found.append(Finding("warning", "", f"the first reading is of {begin}, a day to come.", cure))
+        found.append(Finding("warning", "clock", "", f"the first reading is of {begin}, a day to come.", cure))
     for name, stream in mission.streams.items():
         found += stream_findings(name, stream, mission)
     for note in mission.notes:
         stream_name = note.split(" ", 1)[0].rstrip(":")
         known = stream_name if stream_name in mission.streams else ""
         graver: Severity = "warning" if any(words in note for words in GRAVER) else "info"
-        cure = "Late or shuffled readings: see whether the time column is the right one." if "go back" in note else ""
-        found.append(Finding(graver, known, f"the reader notes: {note}.", cure))
+        cure = "Late or shuffled readings: is the time column the right one?" if "back in time" in note else ""
+        found.append(Finding(graver, "reader", known, f"the reader notes: {note}.", cure))
     if vehicle is not None:
         found += _absent(mission, vehicle)
     found += clock_findings(mission, vehicle)
@@ -91,7 +90,7 @@ def data_findings(mission: Mission, vehicle: Vehicle) -> tuple[Finding, ...]:
     vehicle : Vehicle
     """
     found = (*clock_findings(mission, vehicle), *compared_findings(mission, vehicle))
-    return tuple(finding for finding in found if finding.severity != "info" and finding.about != HABIT)
+    return tuple(finding for finding in found if finding.severity != "info" and finding.code != "habit")
 
 
 def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
@@ -124,6 +123,6 @@ def _absent(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
             cure = f"Add [streams.{name}], or take [imus.{name}] out of the vehicle.toml."
         elif name in vehicle.driving:
             cure = "Nothing moves without what drives: add the stream, or choose another drive."
-        yield Finding("error", name, "the vehicle has this sensor, the mission has no such stream.", cure)
+        yield Finding("error", "stream", name, "the vehicle has this sensor, the mission has no such stream.", cure)
     for name in sorted(set(mission.streams) - wanted):
-        yield Finding("info", name, "this stream belongs to no sensor of the vehicle and is not used.")
+        yield Finding("info", "stream", name, "this stream belongs to no sensor of the vehicle and is not used.")

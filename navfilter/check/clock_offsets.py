@@ -214,7 +214,7 @@ def stretched_finding(name: str, what: str, fit: ClockFit, step_s: float, span_s
         cure += f"{own / step_s:.5f} (rows are then {own:.4g} s apart, and were printed as {step_s:.6g})"
     else:
         cure += f"{scale:.5f} (or {1.0 / scale:.5f} for the other, where several streams say this of it)"
-    return Finding("error", name, f"{text}.", f"{cure} in time of [streams.{name}].")
+    return Finding("error", "clock", name, f"{text}.", f"{cure} in time of [streams.{name}].")
 
 
 def noisy_stretch_finding(name: str, what: str, fit: ClockFit | None, time_s: Array) -> Iterator[Finding]:
@@ -262,4 +262,6 @@ def far_finding(name: str, what: str, late_s: float) -> Iterator[Finding]:
     text = what.format(f"{abs(late_s):.1f} s {'late' if late_s > 0.0 else 'early'}")
     known = next((words for s, words in KNOWN.items() if abs(abs(late_s) - s) < STEP_S), "")
     cure = f"One of the two has another clock{f': {known}' if known else ''}. Set time.offset_s = {-late_s:.1f} in"
-    yield Finding("error", name, text, f"{cure} [streams.{name}] on top of what it is now, or the opposite there.")
+    yield Finding(
+        "error", "clock", name, text, f"{cure} [streams.{name}] on top of what it is now, or the opposite there."
+    )

@@ -37,7 +37,6 @@ GRAVE_DEG = 20.0
 #: Beyond so many a direction is wrong, where it is beyond what vehicle.toml says as well.
 WRONG = 5.0
 #: What a finding is about that vehicles of this kind may well do.
-HABIT = "habit"
 #: Angles apart by less are the same for these data [deg].
 LITTLE_DEG = 3.0
 #: A velocity that leaves more of the positions' way unexplained does not follow them [1].
@@ -64,7 +63,11 @@ def course_findings(
     if fast > 50.0:
         text = f"speeds up to {fast:.3g} m/s."
         yield Finding(
-            "error", name, text, "Centimetres or millimetres per second, or a sentinel: set unit or invalid_above."
+            "error",
+            "unit",
+            name,
+            text,
+            "Centimetres or millimetres per second, or a sentinel: set unit or invalid_above.",
         )
         return
     places = places_of(mission)
@@ -98,7 +101,7 @@ def course_findings(
                 f"its axes are {earth}: it follows the positions of {places.name} without being turned by the heading."
             )
             cure = "The filter needs the velocity in the axes of the instrument or the vehicle: have it recorded so"
-            yield Finding("error", name, text, f"{cure} (of a DVL: instrument or ship coordinates, not earth).")
+            yield Finding("error", "axes", name, text, f"{cure} (of a DVL: instrument or ship coordinates, not earth).")
             return
         if paths is not None and fit is not None:
             compared = True
@@ -195,20 +198,22 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
     if fit.exchanged == 2 or (fit.exchanged and streams.gyro_agrees):
         where = "[truth]" if streams.position == "truth" else f"[streams.{streams.position}]"
         text = "the course over ground fits the velocity only with latitude and longitude exchanged."
-        yield Finding("error", streams.position, text, f"Exchange the first two columns of position in {where}.")
+        yield Finding(
+            "error", "exchanged", streams.position, text, f"Exchange the first two columns of position in {where}."
+        )
         return
     if fit.residual > LOOSE:
         text = f"velocity turned by {heading} does not follow the position (unexplained {100 * fit.residual:.0f} %)."
-        yield Finding("warning", name, text, "Check the axes of the velocity, the heading and the clocks.")
+        yield Finding("warning", "course", name, text, "Check the axes of the velocity, the heading and the clocks.")
         return
     scale, angle = abs(fit.ratio), math.degrees(math.atan2(fit.ratio.imag, fit.ratio.real))
     sure = SURE * fit.sd[0], math.degrees(SURE * fit.sd[1])
     text = f"velocity turned by {heading} follows the position: scale {scale:.3f}, turned by {angle:+.1f} deg"
-    yield Finding("info", name, f"{text}, unexplained {100 * math.sqrt(fit.residual):.1f} %.")
+    yield Finding("info", "course", name, f"{text}, unexplained {100 * math.sqrt(fit.residual):.1f} %.")
     if mirrored:
         cure = 'A heading counted from east counter-clockwise needs scale = -1 and offset = "90 deg"'
         cure += "; or latitude and longitude are exchanged." if fit.exchanged else "."
-        yield Finding("error", heading, "the heading turns the wrong way against the course over ground.", cure)
+        yield Finding("error", "sign", heading, "the heading turns the wrong way against the course over ground.", cure)
     if fit.side_sign < 0 or (not mirrored and fit.side < -0.3 and fit.side + SURE * fit.side_sd < 0.0):
         yield mirrored_finding(name, "it fits the positions with its y axis reversed")
     if not mirrored and abs(angle) > max(GRAVE_DEG if streams.water else 15.0 if streams.rough else 4.0, sure[1]):
@@ -220,7 +225,7 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
             text = f"{text[:-1]}: the declination is {north:+.1f} deg there."
             cure = f"Is {heading} a magnetic compass? Then magnetic = true in vehicle.toml. {cure}"
         wrong = min(GRAVE_DEG, max(WRONG / SURE * sure[1], streams.stated_deg))
-        yield Finding("error" if abs(angle) > wrong else "warning", name, text, cure, "mounting")
+        yield Finding("error" if abs(angle) > wrong else "warning", "mounting", name, text, cure)
     if abs(scale - 1.0) > max(0.25 if streams.water else 0.07, sure[0] * scale):
         yield _scale_finding(name, scale)
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
@@ -232,7 +237,7 @@ def mirrored_finding(name: str, why: str) -> Finding:
     """That a velocity has its y axis to the left, and what to change."""
     cure = f'x is forward, y right, z down: set axes = "x,-y,z" in velocity of [streams.{name}]'
     cure += ', or "x,-y,-z" where z is up too.'
-    return Finding("error", name, f"the velocity is mirrored: {why}.", cure)
+    return Finding("error", "axes", name, f"the velocity is mirrored: {why}.", cure)
 
 
 def _scale_finding(name: str, scale: float) -> Finding:
@@ -241,7 +246,7 @@ def _scale_finding(name: str, scale: float) -> Finding:
     guess = [f'Perhaps unit = "{u}".' for value, u in known.items() if abs(scale / value - 1.0) < 0.05]
     grave = not 0.8 < scale < 1.25
     cure = guess[0] if guess else "Check unit and scale."
-    return Finding("error" if grave else "warning", name, text, cure, "scale")
+    return Finding("error" if grave else "warning", "scale", name, text, cure)
 
 
 def _delay_finding(name: str, fit: CourseFit) -> Finding:
@@ -251,7 +256,7 @@ def _delay_finding(name: str, fit: CourseFit) -> Finding:
     cure += f"or it is a lever arm of {-fit.speed_m_s * fit.late_s:+.1f} m along x, which looks much the same. "
     sd = max(0.3, math.ceil(10.0 * abs(fit.late_s)) / 10.0)
     cure += f"Or let the filter find it: time_offset_sd_s = {sd:g} in vehicle.toml."
-    return Finding("warning", name, text, cure, "clock")
+    return Finding("warning", "delay", name, text, cure)
 
 
 def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:
@@ -267,4 +272,4 @@ def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:
         cure = (
             f"If it moves along its own length, the instrument is mounted turned: mounting_deg yaw {-angle:+.0f} or so."
         )
-        yield Finding("warning", name, text, cure, HABIT)
+        yield Finding("warning", "habit", name, text, cure)

@@ -6,6 +6,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 Severity = Literal["error", "warning", "info"]
+#: Of what a finding is, in one word that stays when sentences change; the manual explains each (`mistakes.md`). Of a
+#: stream, its times and its values:
+OfStream = Literal["stream", "reader", "few", "clock", "clock-unit", "delay", "stamps", "rate", "gap", "span"]
+OfValues = Literal["empty", "stuck", "held", "mark", "quantised", "leaps", "unit", "scale", "sign", "axes", "mounting"]
+#: Of what streams say of each other, and of what vehicle.toml says:
+OfMotion = Literal["exchanged", "course", "heading", "habit", "iron", "north", "datum"]
+OfVehicle = Literal["sd", "bias", "lacking", "omitted", "constant", "untold", "correlation"]
+#: Of a track, of the unit that drives it, and of its sensors:
+OfTrack = Literal[
+    "diverged", "impossible", "unbounded", "reset", "opened", "given-up", "surfacing", "drift", "backward"
+]
+OfDrive = Literal["lane", "samples", "noisy", "silent", "realigned", "shifted", "left-out"]
+OfSensor = Literal["unheard", "unused", "lost", "jumped", "rejected", "widened", "component", "nis"]
+Code = OfStream | OfValues | OfMotion | OfVehicle | OfTrack | OfDrive | OfSensor
 
 
 @dataclass(frozen=True)
@@ -15,19 +29,18 @@ class Finding:
     Parameters
     ----------
     severity : {"error", "warning", "info"}
+    code : str
+        What it is of, in one word.
     stream : str
         Name of the stream, empty for the mission as a whole.
     text : str
         What was seen, in plain words.
     cure : str
         What to do; empty where there is nothing to do.
-    about : str
-        "mounting", "clock" or "scale" where a state of the filter may hold the same; "habit" where a vehicle may well
-        do what looks odd; else empty.
     """
 
     severity: Severity
+    code: Code
     stream: str
     text: str
     cure: str = ""
-    about: str = ""

@@ -41,7 +41,7 @@ def north_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
             lacks = " and ".join(["a date"] * (not dated) + ["a place"] * (place is None))
             text = f"its heading counts from magnetic north, and the declination there needs {lacks}."
             cure = "Set date in the mission.toml" if not dated else "Give a [start]"
-            yield Finding("error", name, text, f"{cure}, or declination_deg in the vehicle.toml.")
+            yield Finding("error", "north", name, text, f"{cure}, or declination_deg in the vehicle.toml.")
     if not compasses or place is None:
         return
     latitude, longitude = place
@@ -94,7 +94,7 @@ def _finding(name: str, sensor: Any, there: North, by_km: float) -> Finding:
         text += f", and a tilt of 0.1 deg turns the heading by {0.1 * abs(math.tan(there.dip)):.1f} deg"
     if sensor is not None and sensor.declination_rad is not None and not sensor.declination_sd_rad:
         cure = f"vehicle.toml has a declination as if it were exact: set declination_sd_deg = {sd_deg:.2g} beside it."
-        return Finding("warning", name, f"{text}.", cure)
+        return Finding("warning", "north", name, f"{text}.", cure)
     grave: Severity = "warning" if lost else "info"
     cure = "Take the heading from a gyrocompass or two antennas, or leave it to fixes and velocity." if lost else ""
-    return Finding(grave, name, f"{text}.", cure)
+    return Finding(grave, "north", name, f"{text}.", cure)

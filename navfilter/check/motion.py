@@ -23,7 +23,6 @@ from navfilter.check.shared_motion import (
     pair_findings,
     speeding_up_findings,
 )
-from navfilter.check.units_text import counted
 from navfilter.check.vertical import (
     depth_sign_findings,
     height_findings,
@@ -32,6 +31,7 @@ from navfilter.check.vertical import (
     vertical_findings,
 )
 from navfilter.foundation.constants import ROUND_GRAVITY
+from navfilter.foundation.display import counted
 from navfilter.models.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
@@ -125,15 +125,17 @@ def _gravity(name: str, imu: Stream) -> Iterator[Finding]:
         }
         guess = [words for value, words in known.items() if 0.9 * value < size < 1.1 * value]
         cure = f"Perhaps {guess[0]}." if guess else "Raw specific force is needed, with gravity in it; check the unit."
-        yield Finding("error", name, f"the mean specific force is {size:.3g} m/s^2, gravity is 9.8.", cure)
+        yield Finding("error", "unit", name, f"the mean specific force is {size:.3g} m/s^2, gravity is 9.8.", cure)
         return
     largest = int(np.argmax(np.abs(mean)))
     if largest != 2 or abs(mean[2]) < 0.7 * size:
         text = f"gravity lies mostly along the {'xyz'[largest]} axis ({mean[largest]:+.2f} m/s^2), not along z."
-        yield Finding("error", name, text, "Put the axes in the order forward, right, down (axes, mounting_deg).")
+        yield Finding(
+            "error", "axes", name, text, "Put the axes in the order forward, right, down (axes, mounting_deg)."
+        )
     elif mean[2] > 0.0:
         text = f"the specific force along z is {mean[2]:+.2f} m/s^2 at rest; with z down it is -9.8."
-        yield Finding("error", name, text, 'Is z up? Then axes = "x,-y,-z" for rates and forces both.')
+        yield Finding("error", "sign", name, text, 'Is z up? Then axes = "x,-y,-z" for rates and forces both.')
 
 
 def _gyro_range(name: str, imu: Stream) -> Iterator[Finding]:
@@ -141,7 +143,7 @@ def _gyro_range(name: str, imu: Stream) -> Iterator[Finding]:
     high = float(np.nanquantile(rate, 0.99))
     if high > 6.0:
         text = f"one rate in a hundred is above {math.degrees(high):.0f} deg/s."
-        yield Finding("warning", name, text, 'Are these degrees per second? Then unit = "deg/s".')
+        yield Finding("warning", "unit", name, text, 'Are these degrees per second? Then unit = "deg/s".')
 
 
 def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
@@ -168,10 +170,12 @@ def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
             wrong.append(f"gyro {gyro} against accelerometer {'xyz'[axis]} (correlation {agreement:.2f})")
         elif agreement > LITTLE and not 1 / 5 < slope < 5:
             text = f"gyro {gyro} is {1 / slope:.3g} times what the turning of gravity says."
-            yield Finding("error", name, text, f"Degrees for radians would be {180 / math.pi:.1f}; check the unit.")
+            yield Finding(
+                "error", "unit", name, text, f"Degrees for radians would be {180 / math.pi:.1f}; check the unit."
+            )
     if wrong:
         cure = "Gyro and accelerometer must have the same right-handed axes: check the signs of both."
-        yield Finding("error", name, f"gravity turns the wrong way: {'; '.join(wrong)}.", cure)
+        yield Finding("error", "axes", name, f"gravity turns the wrong way: {'; '.join(wrong)}.", cure)
 
 
 # --- angles and heading ---------------------------------------------------------------------------------------------
@@ -182,7 +186,7 @@ def _angles(name: str, stream: Stream) -> Iterator[Finding]:
     if "pitch_rad" in stream.columns:
         largest = float(np.nanmax(np.abs(stream.column("pitch_rad")), initial=0.0))
         if largest > 0.5 * math.pi + 1e-6:
-            yield Finding("error", name, f"a pitch of {largest:.3g} rad is beyond 90 deg.", cure)
+            yield Finding("error", "unit", name, f"a pitch of {largest:.3g} rad is beyond 90 deg.", cure)
             return
     for column in ("heading_rad", "yaw_rad"):
         if column in stream.columns:
@@ -194,7 +198,7 @@ def _angles(name: str, stream: Stream) -> Iterator[Finding]:
                 text = (
                     f"the heading jumps by {math.degrees(float(np.nanmedian(step))):.0f} deg from reading to reading."
                 )
-                yield Finding("error", name, text, cure)
+                yield Finding("error", "unit", name, text, cure)
 
 
 @dataclass(frozen=True)
@@ -240,19 +244,21 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
             yield from far_finding(name, f"the heading is {{}} against {gyro}.", late_s)
             return
     if match is None or abs(match.correlation) < LITTLE:
-        yield Finding("info", name, f"turns too little to compare the heading with {gyro}.")
+        yield Finding("info", "heading", name, f"turns too little to compare the heading with {gyro}.")
         return
     if match.correlation < 0.0:
         text = f"the heading turns against {gyro} (correlation {match.correlation:.2f})."
         cure = "Heading counts clockwise from north, gyro z is positive clockwise (down): one has the wrong sign."
-        yield Finding("error", name, text, cure)
+        yield Finding("error", "sign", name, text, cure)
         return
     text = f"the heading follows {gyro}: correlation {match.correlation:.2f}, slope {match.slope:.3f}"
-    yield Finding("info", name, f"{text}, {abs(match.late_s):.2f} s {'late' if match.late_s >= 0 else 'early'}.")
+    yield Finding(
+        "info", "heading", name, f"{text}, {abs(match.late_s):.2f} s {'late' if match.late_s >= 0 else 'early'}."
+    )
     # A loose match says nothing about a scale of 0.7, but a factor of 57 shows in any.
     if not (0.7 < match.slope < 1.4 if match.correlation > 0.9 else 0.2 < match.slope < 5.0):
         cure = "A slope of 57.3 or 0.017 is degrees for radians; another one a wrong scale, or an uncalibrated compass."
-        yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as {gyro}.", cure)
+        yield Finding("error", "unit", name, f"the heading turns {match.slope:.3g} times as far as {gyro}.", cure)
     elif match.correlation > 0.9:
         what = f"the heading is {{}} against {gyro}"
         late_s = match.late_s if abs(match.late_s) < MOST_DELAY_S else 0.0
@@ -270,17 +276,21 @@ def _field(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     mean, scatter = float(np.nanmean(size)), float(np.nanstd(size))
     if not 15e-6 < mean < 80e-6:
         text = f"the magnetic field is {mean * 1e6:.3g} uT; the Earth's is 22 to 67."
-        yield Finding("warning", name, text, "Check the unit; the heading does not need it, the calibration does.")
+        yield Finding(
+            "warning", "unit", name, text, "Check the unit; the heading does not need it, the calibration does."
+        )
     if mean > 0.0 and scatter > 0.04 * mean:
         text = f"the strength of the field varies by {100 * scatter / mean:.0f} %: iron on board."
-        yield Finding("warning", name, text, "Calibrate (hard_iron, soft_iron), or give the compass deviation states.")
+        yield Finding(
+            "warning", "iron", name, text, "Calibrate (hard_iron, soft_iron), or give the compass deviation states."
+        )
     place = next((s for s in (mission.truth, *mission.streams.values()) if s and "latitude_rad" in s.columns), None)
     if place is not None and np.isfinite(place.column("latitude_rad")).any():
         latitude = float(np.nanmedian(place.column("latitude_rad")))
         down = float(np.nanmean(field[:, 2]))
         if abs(latitude) > math.radians(15.0) and down * latitude < 0.0 and abs(down) > 0.2 * mean:
             text = "the field points up in the northern half of the Earth (or down in the southern)."
-            yield Finding("error", name, text, "Its z axis is not down: check the axes.")
+            yield Finding("error", "sign", name, text, "Its z axis is not down: check the axes.")
 
 
 def _positions(name: str, stream: Stream) -> Iterator[Finding]:
@@ -289,13 +299,19 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
     latitude, longitude = stream.column("latitude_rad"), stream.column("longitude_rad")
     if float(np.nanmax(np.abs(latitude), initial=0.0)) > 0.5 * math.pi:
         yield Finding(
-            "error", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.'
+            "error", "unit", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.'
         )
         return
     if abs(float(np.nanmedian(latitude))) > POLAR and abs(float(np.nanmedian(longitude))) < POLAR:
         usual_deg = math.degrees(float(np.nanmedian(latitude)))
         text = f"latitudes around {usual_deg:.0f} deg: are latitude and longitude exchanged?"
-        yield Finding("warning", name, text, f"If so, exchange the first two columns of position in [streams.{name}].")
+        yield Finding(
+            "warning",
+            "exchanged",
+            name,
+            text,
+            f"If so, exchange the first two columns of position in [streams.{name}].",
+        )
     north = np.diff(latitude) * EARTH_RADIUS_M
     east = np.diff(longitude) * np.cos(latitude[1:]) * EARTH_RADIUS_M
     step = np.diff(stream.time_s)
@@ -303,9 +319,13 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)
     jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
     if jumps:
-        text = f"{counted(jumps, 'jump')} faster than 60 m/s between fixes."
+        text = f"{counted(jumps, 'jumps')} faster than 60 m/s between fixes."
         yield Finding(
-            "warning", name, text, "The gate will refuse outliers; make sure that the run starts on a good fix."
+            "warning",
+            "leaps",
+            name,
+            text,
+            "The gate will refuse outliers; make sure that the run starts on a good fix.",
         )
 
 
@@ -315,5 +335,9 @@ def _pressure(name: str, stream: Stream) -> Iterator[Finding]:
         if lowest < 5e4:
             text = f"an absolute pressure of {lowest:.4g} Pa is below any at sea level."
             yield Finding(
-                "error", name, text, 'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.'
+                "error",
+                "unit",
+                name,
+                text,
+                'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.',
             )

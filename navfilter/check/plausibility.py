@@ -68,7 +68,7 @@ def check_vehicle(vehicle: Vehicle) -> tuple[Finding, ...]:
 
 
 def _warn(place: str, text: str, cure: str) -> Finding:
-    return Finding("warning", place, text, cure)
+    return Finding("warning", "sd", place, text, cure)
 
 
 # --- drive and sensors ----------------------------------------------------------------------------------------------
@@ -85,7 +85,7 @@ def _drive_findings(place: str, drive: Mechanisation) -> Iterator[Finding]:
         if drive.inertial and not any(model.block(drive.period_s).size for model in axes):
             cure = f'Add {{model = "random-walk", density = .., start_sd = ..}} to {part.place}, as a list.'
             text = "only white noise, no bias is estimated; every inertial unit has one."
-            yield Finding("info", f"{place}.{part.place}", text, cure)
+            yield Finding("info", "bias", f"{place}.{part.place}", text, cure)
     if drive.velocity_sensor is not None:
         yield from _lever_findings("drive.velocity", drive.velocity_sensor)
 
@@ -105,7 +105,7 @@ def _sensor_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
     if getattr(sensor, "bias_sd_rad", None) == 0.0 and any(learning_part(model) for model in sensor.models):
         text = "what it learns holds no constant bias, for readings do not show one, and none is expected."
         cure = "Say how large one may be, bias_sd_deg = 0.5, or the heading is too sure by it."
-        yield Finding("info", f"{place}.bias_sd_deg", text, cure)
+        yield Finding("info", "bias", f"{place}.bias_sd_deg", text, cure)
     yield from _lever_findings(place, sensor)
     if sensor.gate_probability < 0.95:
         share = 1.0 - sensor.gate_probability
@@ -141,7 +141,9 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
         yield _warn("", f"{size} states are many.", cure)
     yield from _surface_findings(vehicle)
     if "position" not in corrected:
-        yield Finding("info", "sensors", "no position fixes: the error of the position grows without bound.", "")
+        yield Finding(
+            "info", "lacking", "sensors", "no position fixes: the error of the position grows without bound.", ""
+        )
     if vehicle.drive.inertial:
         if not corrected & {"position", "velocity"}:
             cure = (
@@ -151,6 +153,7 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
         if "heading" not in corrected:
             yield Finding(
                 "info",
+                "lacking",
                 "sensors",
                 "no compass: the heading is only seen through fixes while the vehicle accelerates.",
                 "",

@@ -88,7 +88,7 @@ def late_finding(name: str, what: str, late_s: float) -> Finding:
     text = what.format(f"{abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'}") + "."
     sd = max(0.3, math.ceil(10.0 * abs(late_s)) / 10.0)
     cure = f"Set time.offset_s = {-late_s:.2f} on top of what it is now; or let the filter find it: "
-    return Finding("warning", name, text, f"{cure}time_offset_sd_s = {sd:g} in vehicle.toml.", "clock")
+    return Finding("warning", "delay", name, text, f"{cure}time_offset_sd_s = {sd:g} in vehicle.toml.")
 
 
 def pair_findings(mission: Mission, vehicle: Vehicle | None = None) -> Iterator[Finding]:
@@ -179,13 +179,13 @@ def axes_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding
             if mirrored.alike > MIRRORED * straight.alike:
                 text = f"its horizontal axes are mirrored: it speeds up and turns otherwise than {other} says."
                 cure = "Gyro z is positive clockwise, force y to the right: check the signs of axes for both."
-                yield Finding("error", name, text, cure)
+                yield Finding("error", "axes", name, text, cure)
             elif abs(straight.angle) > max(TURNED, SURE * straight.sd):
                 quarter = round(-straight.angle / (0.5 * math.pi)) % 4
                 text = f"its forces are turned by {math.degrees(-straight.angle):+.0f} deg about the down axis"
                 cure = f'Set axes = "{_QUARTERS[quarter]}" on top of what it is now' if quarter else "Set mounting_deg"
                 cure += f", for rates and forces of [streams.{name}]; or {other} is turned by the opposite."
-                yield Finding("error", name, f"{text} against how {other} speeds up and turns.", cure)
+                yield Finding("error", "axes", name, f"{text} against how {other} speeds up and turns.", cure)
 
 
 class _Motion(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.check.finding import Finding, Severity
-from navfilter.check.units_text import counted
+from navfilter.foundation.display import counted
 from navfilter.models.mission import Array, Mission, Stream
 
 #: Readings that were buffered come faster than this one after the other [s].
@@ -25,7 +25,7 @@ def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Fin
     """Findings about one stream alone."""
     if len(stream) < 2:
         cure = "Check the file and the sentinels in the mission.toml."
-        yield Finding("error", name, f"only {counted(len(stream), 'reading')}.", cure)
+        yield Finding("error", "few", name, f"only {counted(len(stream), 'readings')}.", cure)
         return
     yield from _timing(name, stream, mission)
     yield from _values(name, stream)
@@ -35,32 +35,38 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     step = np.diff(stream.time_s)
     moving = step[step > 0.0]
     if not moving.size:
-        yield Finding("error", name, "all readings have the same time.", "Check the time column and its unit.")
+        yield Finding(
+            "error", "stamps", name, "all readings have the same time.", "Check the time column and its unit."
+        )
         return
     usual = float(np.median(moving))
     span = stream.time_s[-1] - stream.time_s[0]
     mean_rate = (len(stream) - 1) / span
     text = f"{len(stream)} readings from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
-    yield Finding("info", name, f"{text} (usual step {usual:.4g} s).")
+    yield Finding("info", "rate", name, f"{text} (usual step {usual:.4g} s).")
     repeated = int(np.count_nonzero(step == 0.0))
     if repeated:
         cure = "The navigator counts them as duplicates; drop them if the values are equal too."
         coarse = repeated > 0.8 * len(step)
         if coarse:
             cure = "The stamps are too coarse: export them with their fractions, or ends_only = true in time."
-        text = f"{counted(repeated, 'reading')} with the time of the one before."
-        yield Finding("error" if coarse else "warning", name, text, cure)
+        text = f"{counted(repeated, 'readings')} with the time of the one before."
+        yield Finding("error" if coarse else "warning", "stamps", name, text, cure)
     gaps = step > 5.0 * usual
     if gaps.any():
         worst = int(np.argmax(step))
-        text = f"{counted(int(gaps.sum()), 'gap')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
+        text = f"{counted(int(gaps.sum()), 'gaps')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
         # fixes are not to be had under water
         grave: Severity = "warning" if step[worst] > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
-        yield Finding(grave, name, text, "The filter carries on without; check that nothing was lost on the way.")
+        yield Finding(
+            grave, "gap", name, text, "The filter carries on without; check that nothing was lost on the way."
+        )
     ratio = moving[(moving > 1.5 * usual) & (moving <= 5.0 * usual)] / usual
     if usual > 0.0 and ratio.size and float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9:
         lost = int(np.sum(np.round(ratio) - 1.0))
-        yield Finding("info", name, f"about {lost} readings are missing here and there, of {len(stream) + lost}.")
+        yield Finding(
+            "info", "gap", name, f"about {lost} readings are missing here and there, of {len(stream) + lost}."
+        )
     # Bursts: many steps far shorter and far longer than the mean step, as stamps of reception have.
     mean = span / (len(stream) - 1)
     bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))
@@ -68,15 +74,15 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
         text = (
             f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
         )
-        yield Finding("warning", name, text, "If the sensor has an even rate, set time.ends_only = true.")
+        yield Finding("warning", "stamps", name, text, "If the sensor has an even rate, set time.ends_only = true.")
     late = stream.time_s[0] - mission.begin_s
     if late > max(10.0 * usual, 5.0):
-        yield Finding("info", name, f"starts {late:.1f} s after the first stream.")
+        yield Finding("info", "span", name, f"starts {late:.1f} s after the first stream.")
     early = _others_end_s(name, mission) - stream.time_s[-1]
     if early > max(10.0 * usual, 5.0):
         severity: Severity = "warning" if early > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
         cure = "Was its file cut, or did it fail? What it holds is not held from then on."
-        yield Finding(severity, name, f"ends {early:.1f} s before the others.", cure)
+        yield Finding(severity, "span", name, f"ends {early:.1f} s before the others.", cure)
 
 
 def _others_end_s(name: str, mission: Mission) -> float:
@@ -99,22 +105,30 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
     missing = float(np.mean(np.isnan(stream.value).any(axis=1)))
     whole: Any = np.isnan(stream.value).all(axis=0)
     if whole.all():
-        yield Finding("error", name, "no reading has a value.", "Check the columns, the sentinels and valid_range.")
+        yield Finding(
+            "error", "empty", name, "no reading has a value.", "Check the columns, the sentinels and valid_range."
+        )
         return
     if missing and not whole.any():
-        yield Finding("info", name, f"{100 * missing:.1f} % of the readings are invalid or incomplete.")
+        yield Finding("info", "empty", name, f"{100 * missing:.1f} % of the readings are invalid or incomplete.")
     measured = [k for k in range(stream.value.shape[1]) if not whole[k] and np.nanstd(stream.value[:, k]) > 0.0]
     if not measured and not stream.value.any():
-        yield Finding("info", name, "every value is 0: a stand-in for what was not measured, or a sensor that is dead.")
+        yield Finding(
+            "info", "empty", name, "every value is 0: a stand-in for what was not measured, or a sensor that is dead."
+        )
         return
     if not measured:
-        yield Finding("warning", name, "no value ever changes.", "A sensor that is stuck, or the wrong columns.")
+        yield Finding(
+            "warning", "stuck", name, "no value ever changes.", "A sensor that is stuck, or the wrong columns."
+        )
         return
     values = stream.value[:, measured]
     held = float(np.mean((np.diff(values, axis=0) == 0.0).all(axis=1)))
     if held > 0.5 and not _is_coarse(values):
         text = f"{100 * held:.0f} % of the readings repeat the one before: a slower sensor, held?"
-        yield Finding("warning", name, text, "If so, set only_changes = true, or the filter takes old news for new.")
+        yield Finding(
+            "warning", "held", name, text, "If so, set only_changes = true, or the filter takes old news for new."
+        )
     yield from _sentinel(name, values)
     for k in measured:
         yield from _quantisation(name, stream.columns[k], stream.value[:, k])
@@ -142,7 +156,9 @@ def _sentinel(name: str, values: Any) -> Iterator[Finding]:
     if rows.sum() < _SENTINELS or not len(others) or not np.all(np.abs(mark) > _FAR * others.max()):
         return
     text = f"{int(rows.sum())} readings are exactly {mark[0]:.6g}, far from all others: a mark for no reading?"
-    yield Finding("warning", name, text, "If so, name it in invalid = [...] of its columns, in the unit of the file.")
+    yield Finding(
+        "warning", "mark", name, text, "If so, name it in invalid = [...] of its columns, in the unit of the file."
+    )
 
 
 def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:
@@ -157,4 +173,6 @@ def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:
     noise = float(np.std(np.diff(known))) / np.sqrt(2.0)
     if quantum > 0.8 * noise:
         text = f"{column} is quantised in steps of {quantum:.3g}, {levels.size} levels in all."
-        yield Finding("info", name, text, f"Its error is at least {quantum / np.sqrt(12.0):.2g} (step / sqrt 12).")
+        yield Finding(
+            "info", "quantised", name, text, f"Its error is at least {quantum / np.sqrt(12.0):.2g} (step / sqrt 12)."
+        )

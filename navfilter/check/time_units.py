@@ -49,11 +49,19 @@ def clock_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
                 text = f"an inertial unit with a sample every {step_s:.4g} s."
             elif _about(1.0 / slower, count):
                 text = f"{1.0 / step_s:.4g} readings in a second, where the vehicle has {rates[name]:.4g}."
-                yield Finding("error", name, text, f'Are these seconds? Then unit = "s" in {where}, not "{unit}".')
+                yield Finding(
+                    "error", "clock-unit", name, text, f'Are these seconds? Then unit = "s" in {where}, not "{unit}".'
+                )
                 break
             else:
                 continue
-            yield Finding("error", name, text, f'Are these {unit}, read as seconds? Then unit = "{unit}" in {where}.')
+            yield Finding(
+                "error",
+                "clock-unit",
+                name,
+                text,
+                f'Are these {unit}, read as seconds? Then unit = "{unit}" in {where}.',
+            )
             break
 
 
@@ -70,7 +78,7 @@ def _apart(mission: Mission, names: list[str]) -> Iterator[Finding]:
             text = f"its readings lie from {begin:.6g} to {end:.6g} s,"
             text += f" those of the others from {first:.6g} to {last:.6g} s."
             cure = f"Another time zone, epoch or unit? Set offset_s in time of [streams.{name}]."
-            yield Finding("error", name, text, cure)
+            yield Finding("error", "clock", name, text, cure)
 
 
 def _lasts(stream: Stream) -> bool:

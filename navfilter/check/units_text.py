@@ -6,7 +6,7 @@ import math
 
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR
 
-__all__ = ["amount", "counted", "duration", "root_density", "walk"]
+__all__ = ["amount", "duration", "root_density", "walk"]
 
 _DEG = math.pi / 180.0
 #: SI unit of a channel -> the units to write it in, the largest first: name, size in SI.
@@ -60,17 +60,6 @@ def root_density(value: float, unit: str) -> str:
 def walk(density: float, unit: str) -> str:
     """How far a random walk of this density [unit/s/sqrt(Hz)] gets in an hour."""
     return f"{amount(ROOT_HOUR * density, unit)} in an hour"
-
-
-def counted(count: int, what: str) -> str:
-    """A number of things, one or several.
-
-    Examples
-    --------
-    >>> counted(1, "gap"), counted(2, "gap")
-    ('1 gap', '2 gaps')
-    """
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def duration(seconds: float) -> str:

@@ -47,7 +47,9 @@ def depth_sign_findings(name: str, stream: Stream) -> Iterator[Finding]:
     highest, lowest = float(np.nanmax(depth, initial=-math.inf)), float(np.nanmin(depth, initial=math.inf))
     if lowest < -_SURFACE_M and -lowest > 3.0 * max(highest, 0.0):
         text = f"the depth goes from {lowest:.3g} to {highest:.3g} m; it counts positive down."
-        yield Finding("error", name, text, f"Are these heights? Then set scale = -1 in depth of [streams.{name}].")
+        yield Finding(
+            "error", "sign", name, text, f"Are these heights? Then set scale = -1 in depth of [streams.{name}]."
+        )
 
 
 def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
@@ -81,7 +83,7 @@ def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
             cure += f" in [sensors.{name}]"
             if up_m is None:
                 cure += f", and antenna_height_m in [sensors.{fixes}]: each surfacing then tells the offset"
-            yield Finding("warning", name, text, f"{cure}.")
+            yield Finding("warning", "datum", name, text, f"{cure}.")
 
 
 def height_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
@@ -106,7 +108,7 @@ def height_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
         cure = "Heights above the ellipsoid, and depths below the sea? Then the sea is at"
         cure += f" surface_height_m = {gauge.surface_height_m + off_m:.1f} in [sensors.{name}]. Or have no height read:"
         cure += f" antenna_height_m in [sensors.{fixes}]"
-        yield Finding("warning", fixes, text, f"{cure}, how far above the sea it is.")
+        yield Finding("warning", "datum", fixes, text, f"{cure}, how far above the sea it is.")
 
 
 def _off_at_the_surface(time_s: Array, depth_m: Array, at_s: Array) -> float | None:
@@ -156,11 +158,17 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
     if best[0] < -0.5 and best[0] + SURE * sd[0] < 0.0:
         text = "the depth grows where the vehicle moves up with its bow up, and falls where it dives."
         yield Finding(
-            "error", depth[0], text, f"It counts positive down: set scale = -1 in depth of [streams.{depth[0]}]."
+            "error",
+            "sign",
+            depth[0],
+            text,
+            f"It counts positive down: set scale = -1 in depth of [streams.{depth[0]}].",
         )
     elif best[1] < -0.5 and best[1] + SURE * sd[1] < 0.0:
         cure = f'z is down: set axes = "x,-y,-z" in velocity of [streams.{name}] for forward, left, up.'
-        yield Finding("error", name, f"the velocity says up where {depth[0]} says down: its z axis points up.", cure)
+        yield Finding(
+            "error", "sign", name, f"the velocity says up where {depth[0]} says down: its z axis points up.", cure
+        )
     else:
         yield from _scale_findings(depth[0], name, X.sum(axis=1), y)
 
@@ -180,7 +188,7 @@ def _scale_findings(depth: str, velocity: str, sunk: Array, deeper: Array) -> It
         }
         guess = [f" Perhaps {unit}." for value, unit in known.items() if abs(scale / value - 1.0) < 0.05]
         cure = f"Check the unit of depth in [streams.{depth}].{''.join(guess)} Or is it that of [streams.{velocity}]?"
-        yield Finding("error", depth, text, cure)
+        yield Finding("error", "unit", depth, text, cure)
 
 
 def _tilt(time_s: Array, v: Array, mission: Mission) -> tuple[Array, Array] | None:

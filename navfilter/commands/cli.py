@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from navfilter.commands import replay as replay_command
+from navfilter.commands import calibrate, compare, identify, learn, mission, montecarlo, replay, run, vehicle
 from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
@@ -26,9 +26,9 @@ from navfilter.commands.console import (
     output_folder,
     positive,
     read,
-    seed,
     speaker,
     unpacked_bytes,
+    whole,
 )
 
 __all__ = ["main"]
@@ -112,23 +112,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    for add in (
-        _add_demo,
-        _add_replay,
-        _add_run,
-        _add_compare,
-        _add_calibrate,
-        _add_learn,
-        _add_montecarlo,
-        _add_identify,
-        _add_simulate,
-        _add_check,
-        _add_mission,
-        _add_vehicle,
-        _add_warmup,
-    ):
-        add(commands)
+    replay.add_demo_arguments(_command(commands, "demo", replay.demo, *replay.DEMO))
+    replay.add_replay_arguments(_command(commands, "replay", replay.replay, *replay.REPLAY))
+    _add(commands, run, compare, calibrate, learn, montecarlo, identify)
+    _add_simulate(commands)
+    _add_check(commands)
+    _add(commands, mission, vehicle)
+    _add_warmup(commands)
     return parser
+
+
+def _add(commands: Any, *modules: Any) -> None:
+    """Commands that are a module each."""
+    for module in modules:
+        name = module.__name__.rpartition(".")[2]
+        module.add_arguments(_command(commands, name, module.run, module.ABOUT, module.EPILOG))
 
 
 class _Version(argparse.Action):
@@ -155,75 +153,6 @@ def _command(
     return parser
 
 
-# --- demo, replay ---------------------------------------------------------------------------------------------------
-
-
-def _add_demo(commands: Any) -> None:
-    replay_command.add_demo_arguments(_command(commands, "demo", replay_command.demo, *replay_command.DEMO))
-
-
-def _add_replay(commands: Any) -> None:
-    replay_command.add_replay_arguments(_command(commands, "replay", replay_command.replay, *replay_command.REPLAY))
-
-
-# --- compare --------------------------------------------------------------------------------------------------------
-
-
-def _add_compare(commands: Any) -> None:
-    from navfilter.commands import compare as compare_command
-
-    compare_command.add_arguments(
-        _command(commands, "compare", compare_command.run, compare_command.ABOUT, compare_command.EPILOG)
-    )
-
-
-# --- calibrate ------------------------------------------------------------------------------------------------------
-
-
-def _add_calibrate(commands: Any) -> None:
-    from navfilter.commands import calibrate as command
-
-    command.add_arguments(_command(commands, "calibrate", command.run, command.ABOUT, command.EPILOG))
-
-
-# --- learn ----------------------------------------------------------------------------------------------------------
-
-
-def _add_learn(commands: Any) -> None:
-    from navfilter.commands import learn as command
-
-    command.add_arguments(_command(commands, "learn", command.run, command.ABOUT, command.EPILOG))
-
-
-# --- run ------------------------------------------------------------------------------------------------------------
-
-
-def _add_run(commands: Any) -> None:
-    from navfilter.commands import run as run_command
-
-    run_command.add_arguments(_command(commands, "run", run_command.run, run_command.ABOUT, run_command.EPILOG))
-
-
-# --- montecarlo -----------------------------------------------------------------------------------------------------
-
-
-def _add_montecarlo(commands: Any) -> None:
-    from navfilter.commands import montecarlo
-
-    montecarlo.add_arguments(_command(commands, "montecarlo", montecarlo.run, montecarlo.ABOUT, montecarlo.EPILOG))
-
-
-# --- identify -------------------------------------------------------------------------------------------------------
-
-
-def _add_identify(commands: Any) -> None:
-    from navfilter.commands import identify as identify_command
-
-    identify_command.add_arguments(
-        _command(commands, "identify", identify_command.run, identify_command.ABOUT, identify_command.EPILOG)
-    )
-
-
 # --- simulate -------------------------------------------------------------------------------------------------------
 
 
@@ -247,7 +176,7 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
     add_force_argument(parser)
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
+        "--seed", type=whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
     )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)"
@@ -274,7 +203,7 @@ def _simulate(options: argparse.Namespace) -> int:
     else:
         folder = output_folder(out, options.force)
         to = folder / "mission.npz", folder / "vehicle.toml"
-    replay_command.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
+    replay.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
     say = speaker(options.quiet)
     say(f"{mission.duration_s:.0f} s, streams {', '.join(mission.streams)}. Replay it with:")
     say(f"  navfilter replay {to[0]} --vehicle {to[1]} --smooth --out result")
@@ -342,26 +271,6 @@ def _of_a_log(path: Path, say: Callable[[str], None], limit: int) -> Any:
         say(f"  {guess}")
     say("")
     return made.mission
-
-
-# --- mission --------------------------------------------------------------------------------------------------------
-
-
-def _add_mission(commands: Any) -> None:
-    from navfilter.commands import mission as command
-
-    command.add_arguments(_command(commands, "mission", command.run, command.ABOUT, command.EPILOG))
-
-
-# --- vehicle --------------------------------------------------------------------------------------------------------
-
-
-def _add_vehicle(commands: Any) -> None:
-    from navfilter.commands import vehicle as vehicle_command
-
-    vehicle_command.add_arguments(
-        _command(commands, "vehicle", vehicle_command.run, vehicle_command.ABOUT, vehicle_command.EPILOG)
-    )
 
 
 # --- warmup ---------------------------------------------------------------------------------------------------------

@@ -25,16 +25,17 @@ __all__ = [
     "announce_compilation",
     "compile_first",
     "complain",
+    "count",
     "limits_of",
     "new_files",
     "output_folder",
     "positive",
     "read",
     "row_rate",
-    "seed",
     "show",
     "speaker",
     "unpacked_bytes",
+    "whole",
 ]
 
 
@@ -54,11 +55,16 @@ def row_rate(text: str) -> float | None:
     return None if text == "all" else positive(text)
 
 
-def seed(text: str) -> int:
-    """Argument type: a whole number from zero."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number >= 0, found '{text}'")
+def whole(text: str, least: int = 0) -> int:
+    """Argument type: a whole number, from zero."""
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"must be a whole number >= {least}, found '{text}'")
     return int(text)
+
+
+def count(text: str) -> int:
+    """Argument type: a whole number, from one."""
+    return whole(text, 1)
 
 
 def speaker(quiet: bool) -> Callable[[str], None]:
@@ -193,11 +199,11 @@ def complain(text: str) -> None:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    from navfilter.kernels.compiling.progress import is_compiled
+    from navfilter.kernels.compiling.progress import is_compiled, kernel_count
 
     cold = not is_compiled("strapdown", "kalman", "measurement")
     if cold:
-        say("compiling the kernels, once: about half a minute ...")
+        say(f"compiling the kernels that are needed, once: at most {kernel_count()} ...")
     return cold
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 import threading
@@ -18,9 +17,12 @@ from navfilter.commands.console import (
     add_force_argument,
     add_unpacking_argument,
     complain,
+    count,
     output_folder,
+    positive,
     show,
     unpacked_bytes,
+    whole,
 )
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
@@ -65,9 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--column", metavar="C", help='name of the column, or its position from 0; of an array "counts[0]"'
     )
-    data.add_argument(
-        "--rate-hz", type=_positive, metavar="R", help="samples per second; not needed with a time column"
-    )
+    data.add_argument("--rate-hz", type=positive, metavar="R", help="samples per second; not needed with a time column")
     data.add_argument(
         "--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing"
     )
@@ -88,15 +88,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--topic", default="", metavar="NAME", help="of a log (a ROS bag, NMEA, ...): which of its topics"
     )
     data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")
-    data.add_argument(
-        "--skip-lines", type=_count, default=0, metavar="N", help="lines before the header of a text file"
-    )
-    data.add_argument("--skip-rows", type=_count, default=0, metavar="N", help="rows of data to skip after it")
+    data.add_argument("--skip-lines", type=whole, default=0, metavar="N", help="lines before the header of a text file")
+    data.add_argument("--skip-rows", type=whole, default=0, metavar="N", help="rows of data to skip after it")
     part = parser.add_argument_group("which samples")
     part.add_argument("--from-s", type=float, metavar="S", help="first time to use")
     part.add_argument("--to-s", type=float, metavar="S", help="last time to use")
     part.add_argument(
-        "--decimate", type=_least_one, default=1, metavar="M", help="keep every M-th sample, without averaging"
+        "--decimate", type=count, default=1, metavar="M", help="keep every M-th sample, without averaging"
     )
     part.add_argument(
         "--reject",
@@ -106,20 +104,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)",
     )
     part.add_argument(
-        "--max-samples", type=_least_one, metavar="N", help="fit the middle N of a longer record (default: 50000)"
+        "--max-samples", type=count, metavar="N", help="fit the middle N of a longer record (default: 50000)"
     )
     model = parser.add_argument_group("the model")
     model.add_argument(
-        "--max-p", type=_count, default=10, metavar="P", help="highest autoregressive order (default: %(default)s)"
+        "--max-p", type=whole, default=10, metavar="P", help="highest autoregressive order (default: %(default)s)"
     )
     model.add_argument(
-        "--max-q", type=_count, default=10, metavar="Q", help="highest moving-average order (default: %(default)s)"
+        "--max-q", type=whole, default=10, metavar="Q", help="highest moving-average order (default: %(default)s)"
     )
     model.add_argument("--order", type=_order, metavar="P,Q", help="fit this order instead of choosing one")
-    model.add_argument("--difference", type=_count, default=0, metavar="D", help="times to difference first (ARIMA)")
+    model.add_argument("--difference", type=whole, default=0, metavar="D", help="times to difference first (ARIMA)")
     model.add_argument(
         "--seasonal-lag",
-        type=_count,
+        type=whole,
         default=0,
         metavar="S",
         help="model x[t] - x[t-S]: removes what repeats every S samples",
@@ -127,32 +125,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     model.add_argument("--detrend", action="store_true", help="estimate a straight line along with the coefficients")
     model.add_argument("--online", action="store_true", help="coefficients over time from the online estimator instead")
     model.add_argument(
-        "--window", type=_least_one, default=4000, metavar="W", help="its window in samples (default: %(default)s)"
+        "--window", type=count, default=4000, metavar="W", help="its window in samples (default: %(default)s)"
     )
     parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-
-
-def _positive(text: str) -> float:
-    return _number(text, 0.0, float, "a number > 0")
-
-
-def _count(text: str) -> int:
-    return int(_number(text, -1, int, "a whole number >= 0"))
-
-
-def _least_one(text: str) -> int:
-    return int(_number(text, 0, int, "a whole number >= 1"))
-
-
-def _number(text: str, above: float, kind: Any, what: str) -> Any:
-    try:
-        value = kind(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > above):
-        raise argparse.ArgumentTypeError(f"must be {what}, found '{text}'")
-    return value
 
 
 def _unit(text: str) -> str:
@@ -166,10 +142,10 @@ def _unit(text: str) -> str:
 
 
 def _order(text: str) -> tuple[int, int]:
-    parts = text.strip("() ").split(",")
+    parts = [part.strip() for part in text.strip("() ").split(",")]
     if len(parts) != 2:
         raise argparse.ArgumentTypeError(f"must be P,Q such as 2,1, found '{text}'")
-    return _count(parts[0]), _count(parts[1])
+    return whole(parts[0]), whole(parts[1])
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,11 +14,12 @@ from navfilter.commands.console import (
     add_force_argument,
     compile_first,
     complain,
+    count,
     output_folder,
     positive,
-    seed,
     show,
     speaker,
+    whole,
 )
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
@@ -55,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs",
         "--seeds",
-        type=_count,
+        type=count,
         default=20,
         metavar="N",
         help="missions, with seeds from --seed on (default: %(default)s)",
@@ -63,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed",
         "--first-seed",
-        type=seed,
+        type=whole,
         default=1,
         metavar="S",
         help="seed of the first mission (default: %(default)s)",
@@ -89,19 +90,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--figures", action=argparse.BooleanOptionalAction, default=True, help="draw them too (default: yes)"
     )
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=_count, metavar="K", help="processes (default: all cores)")
+    where.add_argument("--workers", type=count, metavar="K", help="processes (default: all cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     parser.add_argument(
         "--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)"
     )
     add_force_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number >= 1, found '{text}'")
-    return int(text)
 
 
 def run(options: argparse.Namespace) -> int:

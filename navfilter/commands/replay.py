@@ -24,9 +24,9 @@ from navfilter.commands.console import (
     positive,
     read,
     row_rate,
-    seed,
     show,
     speaker,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)"
     )
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
+        "--seed", type=whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
     )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)"
@@ -175,7 +175,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--passes",
-        type=seed,
+        type=whole,
         default=1,
         metavar="N",
         help="smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
@@ -183,7 +183,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--iterate",
-        type=seed,
+        type=whole,
         default=0,
         metavar="N",
         help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
@@ -226,7 +226,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--workers",
-        type=seed,
+        type=whole,
         metavar="N",
         help="processes for several MISSIONs (default: as many as there are processors)",
     )

@@ -107,11 +107,11 @@ def constant_doubts(run: Track, far: float, untold: float) -> Iterator[Finding]:
             far_off = f"{abs(one.value - one.given) / one.given_sd:.1f} sd from what vehicle.toml says"
             name = one.name.removeprefix(f"{one.owner}.")
             grade: Severity = "warning" if abs(one.value - one.given) > by_chance * one.given_sd else "info"
-            yield Finding(grade, one.owner, f"{name} is {off}, {far_off}.", _cure(one, run.vehicle))
+            yield Finding(grade, "constant", one.owner, f"{name} is {off}, {far_off}.", _cure(one, run.vehicle))
     names = [f"{one.name} (sd {amount(one.sd, one.unit)})" for one in found if one.sd > untold * one.given_sd]
     if names:
         text = f"this mission hardly tells {', '.join(names)}: known no better than vehicle.toml says."
-        yield Finding("info", "", text, "")
+        yield Finding("info", "untold", "", text, "")
 
 
 def _cure(one: Constant, vehicle: Any) -> str:

@@ -11,13 +11,13 @@ from scipy.special import bdtrc
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.magnetic_north import north_findings
-from navfilter.check.units_text import counted
 from navfilter.evaluation.calibration_states import constant_doubts
 from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.omitted_parameters import left_out_doubts
 from navfilter.faults.imu.monitor import COUNTED
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.display import counted
 from navfilter.models.fault_bias import has_offset
 from navfilter.models.lane_missions import last_unit, of_one_unit
 from navfilter.models.mission import Mission
@@ -136,17 +136,19 @@ def _state(run: Track, limits: Limits) -> Iterator[Finding]:
     """What no vehicle does, and what nobody knows."""
     speed = np.hypot(run.velocity_n[:, 0], run.velocity_n[:, 1])
     if not (np.isfinite(speed).all() and np.isfinite(run.latitude).all() and np.isfinite(run.covariance).all()):
-        yield Finding("error", "", "the track holds values that are not finite: the filter has diverged.", _CHECK)
+        yield Finding(
+            "error", "diverged", "", "the track holds values that are not finite: the filter has diverged.", _CHECK
+        )
         return
     cure = "Is what drives in the right unit (deg/s for rad/s, g, mm/s)? Does anything bound the velocity?"
     worst = int(np.argmax(speed))
     if speed[worst] > limits.speed_m_s:
         at = f"{speed[worst]:.0f} m/s at {run.time_s[worst]:.0f} s"
         text = f"a speed of {at}, {run.distance_m:.0f} m travelled: impossible."
-        yield Finding("error", "", text, cure)
+        yield Finding("error", "impossible", "", text, cure)
     deepest = float(run.height[int(np.argmax(np.abs(run.height)))])
     if abs(deepest) > limits.height_m:
-        yield Finding("error", "", f"a height of {deepest:.0f} m: impossible.", cure)
+        yield Finding("error", "impossible", "", f"a height of {deepest:.0f} m: impossible.", cure)
     sd = np.sqrt(np.maximum(run.covariance[:, 3, 3] + run.covariance[:, 4, 4], 0.0))
     # the start may well be unknown: what counts is what the sensors make of it
     later = run.time_s > run.time_s[0] + min(60.0, 0.5 * float(run.time_s[-1] - run.time_s[0]))
@@ -155,7 +157,7 @@ def _state(run: Track, limits: Limits) -> Iterator[Finding]:
         known = f"the velocity is known to {sd[worst]:.1f} m/s only (predicted sd)"
         text = f"at {run.time_s[worst]:.0f} s {known}: nothing bounded it there."
         cure = "See in report.html which sensor was silent or rejected then; a velocity (DVL) or fixes bound it."
-        yield Finding(_grade(sd[worst], limits.speed_sd_m_s), "", text, cure)
+        yield Finding(_grade(sd[worst], limits.speed_sd_m_s), "unbounded", "", text, cure)
 
 
 def _drive(run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
@@ -167,69 +169,77 @@ def _drive(run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
     if max(factor, 1.0 / factor) > limits.rate[0]:
         text = f"its samples come every {usual:.4g} s, vehicle.toml says every {period_s:.4g} s."
         cure = "Milliseconds read as seconds (time.unit in mission.toml), or another rate_hz?"
-        yield Finding(_grade(max(factor, 1.0 / factor), limits.rate), name, text, cure)
+        yield Finding(_grade(max(factor, 1.0 / factor), limits.rate), "rate", name, text, cure)
     heard = time_s[(time_s >= run.time_s[0]) & (time_s <= run.time_s[-1])]
     step, length = np.diff(heard), float(run.time_s[-1] - run.time_s[0])
     missing = float(step[step > max(1.0, 10.0 * period_s, 3.0 * usual)].sum())
     if missing > limits.gaps * length:
         text = f"{missing:.0f} of {length:.0f} s have no samples: the state was carried across by what it was before."
         yield Finding(
-            "warning", name, text, "Was the log cut, or are stamps lost? 'navfilter check MISSION' lists the gaps."
+            "warning",
+            "gap",
+            name,
+            text,
+            "Was the log cut, or are stamps lost? 'navfilter check MISSION' lists the gaps.",
         )
     odd = run.counts.get("bad-sample", 0) + run.counts.get("backward", 0)
     if odd > limits.repaired * len(time_s):
         text = f"{odd} of {len(time_s)} samples are impossible or go back in time."
-        yield Finding("warning", name, text, "Check unit, sentinels (invalid = ...) and the time column.")
+        yield Finding("warning", "samples", name, text, "Check unit, sentinels (invalid = ...) and the time column.")
 
 
 def _lanes(run: Track) -> Iterator[Finding]:
     """Which lanes were left, and when."""
     reasons = ("",) * len(run.lanes) if run.lane_history is None else run.lane_history.reasons
     for (_, left), (time_s, taken), why in zip(run.lanes, run.lanes[1:], reasons, strict=False):
-        yield Finding("info", left, f"its lane was left for {taken} at {time_s:.1f} s: {why}.", "")
+        yield Finding("info", "lane", left, f"its lane was left for {taken} at {time_s:.1f} s: {why}.", "")
     if run.lanes[-1][1] == DEAD_RECKONING:
         text = f"no inertial unit is in force since {run.lanes[-1][0]:.1f} s: compass and velocity carry the state."
         cure = "See in report.html, at the lanes, what the units read then."
-        yield Finding("warning", "", text, cure)
+        yield Finding("warning", "lane", "", text, cure)
 
 
 def _mended(run: Track, unlucky: int) -> Iterator[Finding]:
     """What contradicted everything else, and was left out or set anew for that; so often for fixes that may be."""
     where = "See in report.html, at the innovations, when and against which sensor; is the start right?"
     if count := run.counts.get("reset", 0):
-        text = f"{counted(count, 'time')} readings that agree with each other set the state anew: it had been wrong."
-        yield Finding("warning" if count > unlucky else "info", "", text, where)
+        text = f"{counted(count, 'times')} readings that agree with each other set the state anew: it had been wrong."
+        yield Finding("warning" if count > unlucky else "info", "reset", "", text, where)
     name = run.vehicle.drive.streams[-1]
     found = {fault: run.counts[fault] for fault in COUNTED if run.counts.get(fault, 0)}
     if count := found.pop("noisy", 0):
-        text = f"{counted(count, 'time')} an axis was noisier than vehicle.toml says: believed less meanwhile."
-        yield Finding("info", name, text)
+        text = f"{counted(count, 'times')} an axis was noisier than vehicle.toml says: believed less meanwhile."
+        yield Finding("info", "noisy", name, text)
     found.pop("spike", 0)
     if found.pop("silent", 0):
         text = "it said nothing for a while, or nothing that can be: compass and DVL carried the state as far as heard."
-        yield Finding("warning", name, text, "Was the log cut, or did the unit or its driver fail?")
+        yield Finding("warning", "silent", name, text, "Was the log cut, or did the unit or its driver fail?")
     if count := run.counts.get("realigned", 0):
-        text = f"{counted(count, 'time')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
-        yield Finding("info", name, text, where)
+        text = f"{counted(count, 'times')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
+        yield Finding("info", "realigned", name, text, where)
     if count := run.counts.get("shifted", 0):
-        text = f"{counted(count, 'time')} the bias of a gyro shifted by more than its error model allows: learnt anew."
-        yield Finding("info", name, text, "If it goes on, give its RandomWalk a larger density in vehicle.toml.")
+        text = f"{counted(count, 'times')} the bias of a gyro shifted by more than its error model allows: learnt anew."
+        yield Finding(
+            "info", "shifted", name, text, "If it goes on, give its RandomWalk a larger density in vehicle.toml."
+        )
     if found:
-        text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'time')})" for fault, n in found.items())
+        text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'times')})" for fault, n in found.items())
         again = found.get("contradicted", 0) >= CONTRADICTED
         grade: Severity = "error" if again or found.keys() & DESCRIBED_WRONGLY else "warning"
         cure = "Check axes, units and signs in mission.toml; where these are right, the unit is broken."
-        yield Finding(grade, name, f"{text}, and left out.", cure)
+        yield Finding(grade, "left-out", name, f"{text}, and left out.", cure)
 
 
 def _given_up(run: Track) -> Iterator[Finding]:
     if count := run.counts.get("opened", 0):
         text = f"all sensors contradicted the state {count} times, so that it was given up and established anew."
-        yield Finding("error", "", text, "See in report.html, at the innovations, when, and which sensor was first.")
+        yield Finding(
+            "error", "opened", "", text, "See in report.html, at the innovations, when, and which sensor was first."
+        )
     if run.counts.get("given-up", 0):
         text = "constants of vehicle.toml contradicted the error models that were learnt: these were given up."
         cure = "Nothing was learnt from then on. Widen the sd of what is constant, or calibrate it."
-        yield Finding("warning", "", text, cure)
+        yield Finding("warning", "given-up", "", text, cure)
 
 
 # --- sensors --------------------------------------------------------------------------------------------------------
@@ -246,11 +256,11 @@ def _sensor(
     r = run.residuals.get(name)
     if r is None or not len(r.time_s):
         cure = "Does its stream hold readings after the start?"
-        yield Finding("warning", name, "not one reading was heard during the run.", cure)
+        yield Finding("warning", "unheard", name, "not one reading was heard during the run.", cure)
         return
     if not r.count("used"):
         what = ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
-        yield Finding("error", name, f"not one of its {len(r.time_s)} readings was used ({what}).", _CHECK)
+        yield Finding("error", "unused", name, f"not one of its {len(r.time_s)} readings was used ({what}).", _CHECK)
         return
     yield from _jumped(name, run, unlucky)
     yield from _lost(name, r, limits)
@@ -270,7 +280,7 @@ def _jumped(name: str, run: Track, unlucky: Sequence[float]) -> Iterator[Finding
         share = sum(spans) / max(float(run.time_s[-1] - run.time_s[0]), 1e-9)
         text = f"jumped by a constant {len(spans)} times; for {sum(spans):.0f} s only its changes were used."
         cure = f"Is it fixed to the vehicle, and its mounting right? Replay with --without {name}."
-        yield Finding("error" if share > LONG_JUMPED else "info" if by_fixes else "warning", name, text, cure)
+        yield Finding("error" if share > LONG_JUMPED else "info" if by_fixes else "warning", "jumped", name, text, cure)
 
 
 def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Finding]:
@@ -285,10 +295,10 @@ def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Fi
     if r.count("rejected") >= limits.least and share > limits.rejected[0]:
         much = f"{100 * share:.0f} % of its readings were rejected{_typically(r, run.vehicle.sensors[name].axis_names)}"
         text = f"{much}: they contradict the others, or vehicle.toml.{widened}"
-        yield Finding(_grade(share, limits.rejected), name, text, _CHECK)
+        yield Finding(_grade(share, limits.rejected), "rejected", name, text, _CHECK)
     elif widened:
         cure = f"Replay with --without {name} and see whether the others then agree."
-        yield Finding("warning", name, widened.strip(), cure)
+        yield Finding("warning", "widened", name, widened.strip(), cure)
     yield from _left_out_alone(name, run, r, limits)
 
 
@@ -304,7 +314,7 @@ def _left_out_alone(name: str, run: Track, r: Residuals, limits: Limits) -> Iter
             unit, factor = shown_unit(sensor.units[axis])
             off = factor * abs(float(np.median(r.value[used][alone[:, axis], axis])))
             text = f"{sensor.axis_names[axis]} was left out of {100 * share:.0f} % of the readings used,"
-            yield Finding("warning", name, f"{text} typically {off:.3g} {unit} off.", _CHECK)
+            yield Finding("warning", "component", name, f"{text} typically {off:.3g} {unit} off.", _CHECK)
 
 
 def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: bool) -> Iterator[Finding]:
@@ -321,13 +331,15 @@ def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: boo
             if explained
             else f"the filter believes it {math.sqrt(nis):.1f} times too well."
         )
-        yield Finding(_grade(nis, limits.nis), name, text, "Describe first what is left out." if explained else cure)
+        yield Finding(
+            _grade(nis, limits.nis), "nis", name, text, "Describe first what is left out." if explained else cure
+        )
     elif nis < limits.modest:
         times = 1.0 / math.sqrt(max(nis, 1e-12))
         text = (
             f"its mean NIS is {nis:.1g} where 1 is honest: vehicle.toml believes it {times:.0f} times worse than it is."
         )
-        yield Finding("info", name, text, cure)
+        yield Finding("info", "nis", name, text, cure)
 
 
 def _clock(name: str, run: Track, mission: Mission, limits: Limits) -> Finding | None:
@@ -341,10 +353,14 @@ def _clock(name: str, run: Track, mission: Mission, limits: Limits) -> Finding |
     spans = f"{t[0]:.1f} to {t[-1]:.1f} s, what drives from {drive[0]:.1f} to {drive[-1]:.1f} s"
     if beside == 1.0:
         cure = "Another time zone, epoch or unit? Set time.offset_s or time.unit of one of them in mission.toml."
-        return Finding("error", name, f"the clocks do not overlap: its readings lie from {spans}.", cure)
+        return Finding("error", "clock", name, f"the clocks do not overlap: its readings lie from {spans}.", cure)
     text = f"{100 * beside:.0f} % of its readings lie beside the run: {spans}."
     return Finding(
-        "warning", name, text, "If it was not switched on alone, its clock is off: see time.offset_s in mission.toml."
+        "warning",
+        "span",
+        name,
+        text,
+        "If it was not switched on alone, its clock is off: see time.offset_s in mission.toml.",
     )
 
 
@@ -359,7 +375,7 @@ def _lost(name: str, r: Residuals, limits: Limits) -> Iterator[Finding]:
     for outcome, text in causes.items():
         if r.count(outcome) > limits.lost * len(r.time_s):
             cure = f"'navfilter check MISSION' shows the gaps, repeats and sentinels of {name}."
-            yield Finding("warning", name, f"{r.count(outcome)} of {len(r.time_s)} readings {text}", cure)
+            yield Finding("warning", "lost", name, f"{r.count(outcome)} of {len(r.time_s)} readings {text}", cure)
 
 
 def _typically(r: Residuals, axes: Sequence[str]) -> str:
@@ -404,10 +420,10 @@ def _surfaced(evidence: Evidence, limits: Limits) -> Iterator[Finding]:
             f"where {worst.sd_m:.1f} m were predicted ({len(refused)} of {len(found)} surfacings)."
         )
         grave = len(refused) > len(_unlucky(evidence, limits))
-        yield Finding("warning" if grave else "info", worst.sensor, text, cure if grave else "")
+        yield Finding("warning" if grave else "info", "surfacing", worst.sensor, text, cure if grave else "")
     elif outside and bdtrc(outside - 1, len(found), 0.05) < limits.chance:
         text = f"{outside} of {len(found)} surfacings lie outside the range that should hold 95 % of them."
-        yield Finding("warning", "", text, cure)
+        yield Finding("warning", "surfacing", "", text, cure)
 
 
 def _grade(value: float, limits: tuple[float, float]) -> Severity:

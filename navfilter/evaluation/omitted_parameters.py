@@ -176,7 +176,7 @@ def left_out_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
         grade: Severity = "warning" if max(one.moved.square, one.turned.square) > ELSEWHERE else "info"
         if grade == "warning" and _is_turned(one, run):
             grade = "error"
-        yield Finding(grade, one.part[-1], text, f"{cure}; 'navfilter calibrate' then finds it.")
+        yield Finding(grade, "omitted", one.part[-1], text, f"{cure}; 'navfilter calibrate' then finds it.")
 
 
 def _is_turned(one: LeftOut, run: Track) -> bool:

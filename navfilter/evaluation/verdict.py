@@ -90,7 +90,10 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values."""
-        findings = [{"severity": f.severity, "sensor": f.stream, "text": f.text, "cure": f.cure} for f in self.findings]
+        findings = [
+            {"severity": f.severity, "code": f.code, "sensor": f.stream, "text": f.text, "cure": f.cure}
+            for f in self.findings
+        ]
         judged = {"trusted": self.trusted, "judged": self.judged}
         return {**judged, "headline": self.headline, "findings": findings}
 
@@ -136,15 +139,15 @@ def judge(
     )
 
 
-#: What a finding is about -> words in the names of the states that hold the same.
-_STATES = {"mounting": ("misalignment", ".bias"), "clock": ("time_offset",), "scale": ("scale",)}
+#: Code of a finding -> words in the names of the states that hold the same.
+_STATES = {"mounting": ("misalignment", ".bias"), "delay": ("time_offset",), "scale": ("scale",)}
 #: What a zero velocity that stands in may be corrected by.
 _VELOCITIES = ("velocity",)
 
 
 def _estimated(finding: Finding, run: Track) -> bool:
     """Whether the filter had states for what a finding is about."""
-    return any(word in state for word in _STATES.get(finding.about, ()) for state in run.state_names)
+    return any(word in state for word in _STATES.get(finding.code, ()) for state in run.state_names)
 
 
 def _drifted(drifts: Sequence[Drift], limits: Limits) -> Iterator[Finding]:
@@ -154,7 +157,7 @@ def _drifted(drifts: Sequence[Drift], limits: Limits) -> Iterator[Finding]:
             text = f"{found.count} of the fixes withheld, {found.apart_s:.0f} s apart, find a drift of a mean NIS of "
             text += f"{found.nis:.1f}, where 1 is honest, that goes on in one direction by {found.lasting:.1f} sd."
             cure = "Give what drives, and its velocity, larger or slower errors in vehicle.toml."
-            yield Finding("error" if found.nis > limits.nis[1] else "warning", found.sensor, text, cure)
+            yield Finding("error" if found.nis > limits.nis[1] else "warning", "drift", found.sensor, text, cure)
 
 
 def _separated(found: Apart | None, limits: Limits) -> Iterator[Finding]:
@@ -162,14 +165,14 @@ def _separated(found: Apart | None, limits: Limits) -> Iterator[Finding]:
     if found is not None and found.chance < limits.chance:
         text = f"the runs forward and backward are {np.sqrt(found.nis):.1f} times as far apart as both predict."
         cure = "See in report.html, at Forward and backward, where they part: what is read there contradicts the rest."
-        yield Finding("error" if found.nis > limits.nis[1] ** 2 else "warning", "", text, cure)
+        yield Finding("error" if found.nis > limits.nis[1] ** 2 else "warning", "backward", "", text, cure)
 
 
 def _remarks(mission: Mission) -> Iterator[Finding]:
     """What the reader says of the times."""
     for note in mission.notes:
         if "UTC is unknown" in note:
-            yield Finding("info", "", note.removesuffix("."))
+            yield Finding("info", "clock", "", note.removesuffix("."))
 
 
 def _lacking(run: Track, mission: Mission) -> Iterator[str]:

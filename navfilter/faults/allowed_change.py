@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import settings
-from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["are_carried", "reckoned", "wander"]
+__all__ = ["reckoned", "wander"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
@@ -50,9 +48,3 @@ def _lasting(P: Array, drive_output: Array) -> Array:
     C = drive_output[:, :-1]
     m = 9 + C.shape[1]
     return np.asarray(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C))
-
-
-def are_carried(filter: FilterState, time_s: float) -> bool:
-    """Whether a velocity carries height and position at this time [s]."""
-    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.faults.set_aside)
-    return not filter.inertial or time_s - max(used, default=-np.inf) < settings.CARRIED_S

@@ -20,7 +20,6 @@ from navfilter.faults import ground_velocity, settings
 from navfilter.filter.actions import Action, Inflate, MovePosition
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.models.sensors.observable import Observable
 
 __all__ = [
     "AlternativePath",
@@ -73,8 +72,7 @@ def out_of_reach(filter: FilterState, channel: Channel, time_s: float) -> bool:
     time_s : float
         Of the reading [s].
     """
-    fixes = channel.sensor.observes is Observable.FIX
-    if not fixes or channel.memory.used_s == -math.inf:
+    if channel.memory.used_s == -math.inf:
         return False
     north, east = filter.start.way_to(*filter.memory.nav[:2].tolist())
     off = [0.0 if math.isnan(residual) else residual for residual in channel.res[:2].tolist()]
@@ -135,7 +133,7 @@ def with_rejected(filter: FilterState, channel: Channel, time_s: float) -> Alter
         A = ground_velocity.as_velocity(channel, seen)
         further = A @ residual[seen] * dt
         size = 0.0
-        if not channel.faults.set_aside:
+        if channel.faults.aside is None:
             # once it has been found to be off, nobody need reckon with its being right, but as far as it still differs
             left = (
                 ground_velocity.components(channel, channel.note[3 : 3 + channel.axes]) if channel.offset else residual

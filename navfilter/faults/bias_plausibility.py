@@ -23,7 +23,7 @@ from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["beside", "excused", "pulled", "reckoned_since", "reckoned_wrongly"]
+__all__ = ["beside", "pulled", "reckoned_since", "reckoned_wrongly"]
 
 Array = NDArray[np.float64]
 
@@ -70,18 +70,6 @@ def beside(channel: Channel, x: Array) -> float:
     have, and its scatter.
     """
     return math.hypot(*channel.coloured_error(x)[:2].tolist()) + IN_PLANE * math.sqrt(max(channel.slow))
-
-
-def excused(channel: Channel) -> bool:
-    """Whether a refused reading of fixes that are astray is off by no more than dead reckoning may err since.
-
-    Parameters
-    ----------
-    channel : Channel
-        As the refused reading left it.
-    """
-    astray_m = channel.faults.astray_m  # NaN where they are not
-    return astray_m >= 0.0 and math.hypot(*np.nan_to_num(channel.res).tolist()) <= settings.BIAS_SHARE * astray_m
 
 
 def pulled(channel: Channel, x: Array) -> Array:

@@ -161,7 +161,7 @@ def opened_velocity(filter: FilterState, size: float, speed: float) -> Change | 
         used = (
             now_s - channel.memory.used_s < settings.COMPASS_RECENT_S and channel.sensor.observes.corrects == "velocity"
         )
-        if used and channel.sensor.ground and not channel.sensor.flows_m_s and not channel.offset:
+        if used and channel.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
     return None
 

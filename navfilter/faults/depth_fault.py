@@ -19,7 +19,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from navfilter.faults import settings
-from navfilter.faults.allowed_change import are_carried
 from navfilter.faults.sensor_bias import offset_places
 from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
@@ -38,7 +37,9 @@ def are_told(filter: FilterState, gauge: Channel, time_s: float) -> bool:
     """Whether more than accelerometers says how the height changes at this time [s]: a velocity, or fixes or another
     gauge that go on to be used.
     """
-    return are_carried(filter, time_s) or bool(_others(filter, gauge, time_s))
+    used = (c.memory.used_s for c in filter.channels.values() if c.ground and c.faults.aside is None)
+    carried = not filter.inertial or time_s - max(used, default=-np.inf) < settings.CARRIED_S
+    return carried or bool(_others(filter, gauge, time_s))
 
 
 def _others(filter: FilterState, gauge: Channel, time_s: float) -> list[Channel]:

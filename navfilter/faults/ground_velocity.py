@@ -16,7 +16,7 @@ AXES = 3
 
 def components(channel: Channel, values: Array) -> Array:
     """Those of values by axis (axes,) that are of the velocity over ground; all of a sensor that has none."""
-    return values[: channel.sensor.ground or len(values)]
+    return values[: channel.ground or len(values)]
 
 
 def as_velocity(channel: Channel, seen: NDArray[np.bool_]) -> Array:
@@ -37,7 +37,7 @@ def residual(channel: Channel, nav: Array, values: Array) -> Array:
         NaN where missing; of beams three are wanted.
     """
     known = components(channel, values)
-    if channel.sensor.ground == AXES:
+    if channel.ground == AXES:
         return known
     seen = np.isfinite(known)
     if seen.sum() < AXES:
@@ -48,7 +48,7 @@ def residual(channel: Channel, nav: Array, values: Array) -> Array:
 def residual_variances(channel: Channel, nav: Array) -> Array:
     """White variance of `residual`, shape (3,) [m^2/s^2]."""
     white = components(channel, np.diag(channel.R))
-    if channel.sensor.ground == AXES:
+    if channel.ground == AXES:
         return white
     seen = np.isfinite(components(channel, channel.note[3 : 3 + channel.axes]))
     A = nav[6:15].reshape(3, 3).T @ as_velocity(channel, seen)

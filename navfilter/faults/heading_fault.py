@@ -208,8 +208,8 @@ def of_one_way(
 
 def _reckons(channel: Channel) -> bool:
     """Whether a sensor tells the way made, if the heading is known."""
-    sensor = channel.sensor
-    return sensor.observes.corrects == "velocity" and (sensor.ground > 0 or sensor.observes is Observable.VELOCITY_BODY)
+    kind = channel.sensor.observes
+    return kind.corrects == "velocity" and (channel.ground > 0 or kind is Observable.VELOCITY_BODY)
 
 
 def direction(filter: FilterState) -> float:
@@ -231,7 +231,7 @@ def _noise(fixes: Channel) -> float:
 
 
 def told_here(fixes: Channel, nav: Array, variance: float) -> tuple[float, ...]:
-    """What is to be remembered of a heading that fixes have told to this variance [rad^2], see `ChannelMemory.course`.
+    """What is to be remembered of a heading that fixes have told to this variance [rad^2], see `SensorFaults.course`.
     The last of them has just been refused at the nominal state nav (17,).
     """
     north, east = np.nan_to_num(fixes.res[:2]).tolist()

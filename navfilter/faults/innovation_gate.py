@@ -57,7 +57,7 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
             )
             alone |= _goes_away(other)
         present |= {sensor.observes.corrects} if heard else set()
-        if heard and not other.faults.set_aside and refused_s > 0.5 * sensor.gate_timeout_s:
+        if heard and memory.aside is None and refused_s > 0.5 * sensor.gate_timeout_s:
             against.append(sensor.observes.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
             for_it.append(sensor.observes.corrects)

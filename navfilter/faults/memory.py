@@ -51,7 +51,7 @@ class SensorFaults:
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
     aside : VelocityFault or None
-        Of a velocity that has jumped by about itself.
+        Of a velocity that has jumped by about itself, see `navfilter.faults.velocity_fault`.
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by how much at most [rad], latitude and longitude then [rad].
@@ -114,11 +114,6 @@ class SensorFaults:
     def astray(self) -> bool:
         """Whether its slow error came to be beyond belief, and no reading has agreed with the state since."""
         return not math.isnan(self.astray_m)
-
-    @property
-    def set_aside(self) -> bool:
-        """Whether it has jumped by about the velocity itself, see `navfilter.faults.velocity_fault`."""
-        return self.aside is not None
 
     @property
     def scatters(self) -> bool:

@@ -92,7 +92,7 @@ def facts(filter: FilterState, channel: Channel) -> Array:
     height = sensor.observes is Observable.HEIGHT
     known = np.zeros(kernels.facts_size(a))
     known[kernels.LASTING], known[kernels.KIND] = filter.inertial and (velocity or height), kind
-    known[kernels.PERIOD_S], known[kernels.DRIVE_PERIOD_S] = channel.period_s, filter.vehicle.drive.period_s
+    known[kernels.PERIOD_S], known[kernels.DRIVE_PERIOD_S] = channel.period_s, filter.period_s
     known[kernels.BY_AXIS : kernels.BY_AXIS + a] = wander(channel, channel.period_s)
     known[kernels.BY_AXIS + a : kernels.BY_AXIS + 2 * a] = channel.group.r
     channel.facts = known
@@ -122,7 +122,7 @@ def note_reading(filter: FilterState, channel: Channel, time_s: float, frozen: b
         return nis  # a stretch does not tell these
     memory, note, at = filter.memory, noted(channel), channel.places
     north = -1 if channel.sensor.observes.north is None else channel.sensor.observes.north
-    ignored = frozen or channel.faults.set_aside or filter.monitor.imu_monitor.busy(memory.monitor.imu)
+    ignored = frozen or channel.faults.aside is not None or filter.monitor.imu_monitor.busy(memory.monitor.imu)
     of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
     nis = kernels.update_scale(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
     channel.faults.scatter = NoiseScale.of(note)

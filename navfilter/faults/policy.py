@@ -23,7 +23,7 @@ from navfilter.faults import (
     settings,
     velocity_fault,
 )
-from navfilter.faults.bias_plausibility import excused, pulled, reckoned_since, reckoned_wrongly
+from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
 from navfilter.faults.imu import acceleration, bias_drift, gyro_scale, realignment
 from navfilter.faults.protection_level import IN_LINE
@@ -95,13 +95,14 @@ def _frozen_or_worthless(filter: FilterState, channel: Channel, reading: Rejecte
 def _fix_out_of_reach(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A fix of a place to which no such vehicle has come."""
     yield from ()
-    return False if alternative_path.out_of_reach(filter, channel, reading.time_s) else None
+    fixes = channel.sensor.observes is Observable.FIX
+    return False if fixes and alternative_path.out_of_reach(filter, channel, reading.time_s) else None
 
 
 def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A velocity that is refused: the way that it would have made is kept. Decides nothing."""
     yield from ()
-    if channel.sensor.ground:
+    if channel.ground:
         channel.faults.way = alternative_path.with_rejected(filter, channel, reading.time_s)
 
 
@@ -130,7 +131,7 @@ def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> A
 def _tilt(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A velocity that is refused because the attitude is wrong: it is set anew."""
     yield from ()
-    if not channel.moves or channel.faults.set_aside:
+    if not channel.moves or channel.faults.aside is not None:
         return None
     filter.monitor.is_tilted = realignment.tilted(filter, channel, reading.time_s)
     return False if filter.monitor.is_tilted else None
@@ -158,7 +159,8 @@ def _implausible_bias(filter: FilterState, channel: Channel, reading: Rejected) 
 
 def _within_dead_reckoning(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """Fixes that are off by no more than dead reckoning may err since they went astray."""
-    if not excused(channel):
+    off_m = math.hypot(*np.nan_to_num(channel.res).tolist())
+    if not off_m <= settings.BIAS_SHARE * channel.faults.astray_m:  # NaN where they are not
         return None
     yield Inflate(range(3), range(3), np.nan_to_num(channel.res[:3]) ** 2)
     yield from _readmit(filter, channel, reading.time_s)
@@ -167,7 +169,7 @@ def _within_dead_reckoning(filter: FilterState, channel: Channel, reading: Rejec
 
 def _sensor_or_state_bias(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """Refused readings that agree: the state is opened to them, or the sensor gets a constant."""
-    if sensor_bias.judges(channel) and (yield from _agreed(filter, channel, reading.time_s)):
+    if channel.sensor.observes in sensor_bias.JUDGED and (yield from _agreed(filter, channel, reading.time_s)):
         return True
     return None
 
@@ -194,7 +196,7 @@ def _reopen_known_fault(filter: FilterState, channel: Channel, reading: Rejected
     if not channel.offset:
         return None
     overdue = reading.time_s - channel.faults.rejected_since_s >= channel.sensor.gate_timeout_s
-    if not channel.faults.set_aside and overdue:
+    if channel.faults.aside is None and overdue:
         yield from _jumped(filter, channel, reading.time_s)
     return False
 
@@ -224,7 +226,7 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
     """
     memory, kept = filter.memory, channel.faults
     speed = math.sqrt(float(memory.nav[3:6].dot(memory.nav[3:6])))
-    drive = filter.drive_output, filter.vehicle.drive.period_s
+    drive = filter.drive_output, filter.period_s
     course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
     kept.refused = refused = sensor_bias.add_rejection(channel, memory.P, speed, time_s, *drive)
     kept.refused_s = time_s
@@ -235,9 +237,9 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
     if channel.offset:
         back = back + 1 if _is_back(filter, channel) else 0
         kept.refused = refused = replace(refused, back=back)
-        if channel.faults.set_aside and back < settings.RUN_LEAST:
+        if channel.faults.aside is not None and back < settings.RUN_LEAST:
             return False
-    carried = depth_fault.are_told(filter, channel, time_s)
+    carried = channel.sensor.observes is not Observable.HEIGHT or depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
     if wrong == "sensor" or refused.back >= settings.RUN_LEAST:
         yield from _jumped(filter, channel, time_s)
@@ -422,7 +424,7 @@ def used(filter: FilterState, channel: Channel, time_s: float) -> None:
     kept, memory = channel.faults, filter.memory
     settled = (
         time_s - kept.jumped_s >= settings.SPAN_S
-        and not channel.faults.set_aside
+        and channel.faults.aside is None
         and channel.name not in _waiting(filter)
     )
     if settled and sensor_bias.is_none(channel, memory.x, memory.P):

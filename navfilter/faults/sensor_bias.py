@@ -25,6 +25,7 @@ from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.sensors.observable import Observable
 
 __all__ = [
+    "JUDGED",
     "add_rejection",
     "alike",
     "as_usual_until_s",
@@ -33,7 +34,6 @@ __all__ = [
     "is_back",
     "is_gauge",
     "is_none",
-    "judges",
     "limits",
     "offset_places",
     "opened_state",
@@ -41,7 +41,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-#: What an offset can be told of: these read the state itself.
+#: What an offset can be told of, by refused readings that agree: these read the state itself.
 JUDGED = (Observable.FIX, Observable.HEIGHT, Observable.HEADING, Observable.ATTITUDE, Observable.VELOCITY_BODY)
 PLACE = (Observable.FIX, Observable.HEIGHT)
 #: Times that differ by less are the same [s].
@@ -52,11 +52,6 @@ SURFACED = chi_square_limit(0.99, np.arange(1, 4))
 
 
 # ---------------------------------------------------------------- hearing refused readings
-def judges(channel: Channel) -> bool:
-    """Whether anything is to be made of refused readings of its kind that agree."""
-    return channel.sensor.observes in JUDGED
-
-
 def is_gauge(channel: Channel) -> bool:
     """Whether it tells the height, and nothing else."""
     return channel.sensor.observes is Observable.HEIGHT
@@ -284,7 +279,7 @@ def opened_state(channel: Channel, refused: RejectionRun, moved_m: float, held: 
         off, mean = offset @ N, offset @ N / span_s
         V[:3, 3:6], V[3:6, :3] = 1.5 * np.outer(off, mean), 1.5 * np.outer(mean, off)
         V[3:6, 3:6] = (1.5**2 + 0.5**2) * np.outer(mean, mean)
-    if kind is Observable.VELOCITY_BODY and channel.sensor.ground != ground_velocity.AXES:
+    if kind is Observable.VELOCITY_BODY and channel.ground != ground_velocity.AXES:
         known = ground_velocity.components(channel, seen).astype(bool)
         A = ground_velocity.as_velocity(channel, known)
         off, variance = (ground_velocity.components(channel, np.array(v))[known] for v in (offset, refused.variance))

@@ -61,7 +61,7 @@ def jumped(filter: FilterState, channel: Channel, jump: Array) -> VelocityFault 
     """
     speed, by = math.hypot(*filter.memory.nav[3:6].tolist()), np.nan_to_num(jump)
     carried = filter.inertial and not filter.monitor.imu_monitor.has_excluded(filter.memory.monitor.imu)
-    if not channel.sensor.ground or not carried or _size(by) <= settings.VELOCITY_SHARE * speed:
+    if not channel.ground or not carried or _size(by) <= settings.VELOCITY_SHARE * speed:
         return None
     says = _size(channel.reading) > settings.SAYS * _size(by)
     read = channel.reading if says else np.full(channel.axes, math.nan)

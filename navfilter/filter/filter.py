@@ -128,7 +128,7 @@ class Filter:
             drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
             recent=np.zeros((self.remembered, 7)),
             intake=self.intake.memory,
-            channels={name: channel.memory for name, channel in self.channels.items()},
+            channels={name: channel.noted for name, channel in self.channels.items()},
             models=adopted,
             counts=counts,
         )
@@ -187,7 +187,8 @@ class Filter:
         self._xd = memory.x[: self.layout.drive.size]
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
-            channel.memory = memory.channels[name]
+            channel.noted[:] = memory.channels[name]
+            memory.channels[name] = channel.noted
         self.monitor.restore(memory.monitor, self.channels)
 
     # ---------------------------------------------------------------- propagation
@@ -306,7 +307,7 @@ class Filter:
         channel, memory = self.channels[name], self.memory
         z = np.array(value, dtype=np.float64).reshape(-1)  # a copy: kernels want it contiguous and writable
         early = time_s - memory.time_s
-        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.sensor)):
+        if not math.isfinite(time_s) or len(z) < channel.reads or not (sd is None or usable(sd, channel.sensor)):
             return self._unused(channel, time_s, "invalid")
         if time_s <= channel.memory.last_s:
             return self._unused(channel, time_s, "duplicate")
@@ -446,6 +447,7 @@ class Filter:
         self._transform(found.M, found.N)
         memory.x = np.ascontiguousarray(found.M[9:, 9:] @ memory.x)
         memory.acc, memory.models, self._xd = self._identity(), models, memory.x[: self.layout.drive.size]
+        memory.channels = {name: channel.noted for name, channel in self.channels.items()}
         self.set_imu_noise()
         drive, places = found.after.drive, strapdown.PLACES
         if drive is not found.before.drive:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.imu_intake import ImuIntakeMemory
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel
@@ -57,7 +56,8 @@ class FilterMemory:
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
     intake : ImuIntakeMemory
-    channels : dict of str to ChannelMemory
+    channels : dict of str to ndarray
+        See `Channel.noted`.
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
     counts : dict of str to int
@@ -75,7 +75,7 @@ class FilterMemory:
     drv: Array
     recent: Array
     intake: ImuIntakeMemory
-    channels: dict[str, ChannelMemory]
+    channels: dict[str, Array]
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]
     monitor: Any = None

@@ -1,9 +1,8 @@
-"""Working memory of one correcting sensor: one array shared with the kernels, and what is remembered from reading to
-reading.
-"""
+"""Working memory of one correcting sensor: one array shared with the kernels."""
 
 from __future__ import annotations
 
+import ctypes
 import math
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.channel_model import ChannelModel, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
@@ -23,7 +21,7 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Channel", "usable"]
+__all__ = ["Channel", "Times", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -34,14 +32,38 @@ CLOCK_SDS = 4.0
 DIVE_S, DIVE_PERIODS = 60.0, 20.0
 
 
+class Times(ctypes.Structure):
+    """Times of a sensor, read and written where kernels keep them (`navfilter.kernels.batch.LAST_S` and on).
+
+    Attributes
+    ----------
+    last_s, ticked_s, used_s : float
+        Of the last reading, of the last tick of its clock, and of the last reading that was used; minus infinity before
+        the first [s].
+    """
+
+    last_s: float
+    ticked_s: float
+    used_s: float
+    _fields_ = tuple((name, ctypes.c_double) for name in ("last_s", "ticked_s", "used_s"))
+
+
 class Channel:
-    """A correcting sensor while the filter runs; `arrange` lays it out, `memory` is all that changes between readings.
+    """A correcting sensor while the filter runs; `arrange` lays it out, `noted` is all that changes between readings.
 
     Parameters
     ----------
     name : str
     sensor : Sensor
     start : Start
+
+    Attributes
+    ----------
+    noted : ndarray
+        Jacobian, verdict and residual of the last reading (``kalman.memory_offsets`` 7 to 9); then its `Times`; then
+        see ``batch.NORTH_WHITE``, ``LET_GO``.
+    memory : Times
+        Those in `noted`.
     """
 
     def __init__(self, name: str, sensor: Sensor, start: Start) -> None:
@@ -56,6 +78,7 @@ class Channel:
             self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + consistency.WINDOW_S * any(sensor.lever_arm_sd_m)
         )
         self.moves, self.turns = sensor.observes.in_body_axes, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.ground, self.reads = sensor.ground, sensor.reads
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.held = sensor.held()
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
@@ -67,7 +90,8 @@ class Channel:
 
     def reset_memory(self) -> None:
         """Remember nothing, as at the start."""
-        self._memory = ChannelMemory()
+        self.noted = np.zeros(batch.NOTED)
+        self.noted[: batch.NORTH_WHITE] = -math.inf
         self.faults: Any = None  # what the monitor remembers of the sensor
         self.count, self.stuck, self.stale = 0, False, False
 
@@ -144,13 +168,12 @@ class Channel:
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)
         self.gate = bench[ends[7] : ends[8]]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
-        self._last = mem[at[7] : at[9]]
-        kept = self._memory.last
-        if kept.size == self._last.size:
-            self._last[:] = kept
+        before, self.noted = self.noted, mem[at[7] : at[9]]
+        if before.size == self.noted.size:
+            self.noted[:] = before
         else:
-            self._last[-batch.NOTED : -1] = kept[-batch.NOTED : -1]
-        self._memory.last = self._last
+            self.noted[-batch.NOTED : -1] = before[-batch.NOTED : -1]
+        self.memory = Times.from_buffer(self.noted[-batch.NOTED :].data)
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (
             (self.moves, self.turns, (self.sensor.observes is Observable.RATE)),
@@ -169,20 +192,9 @@ class Channel:
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
 
-    @property
-    def memory(self) -> ChannelMemory:
-        """What it remembers; its arrays are views of the working memory."""
-        return self._memory
-
-    @memory.setter
-    def memory(self, memory: ChannelMemory) -> None:
-        self._last[:] = memory.last
-        memory.last = self._last
-        self._memory = memory
-
     def has_dived(self, time_s: float) -> bool:
         """Whether no fix has been used for so long that the vehicle has dived."""
-        return self.dive_s < time_s - self._memory.used_s < math.inf
+        return self.dive_s < time_s - self.memory.used_s < math.inf
 
     def use(self, time_s: float) -> None:
         """Note that its last reading, of this time, has been used, whole or in part."""
@@ -214,7 +226,7 @@ class Channel:
 
     def ticks(self, time_s: float) -> int:
         """Periods of the sensor since it was last heard; 0 at the first reading."""
-        memory = self._memory
+        memory = self.memory
         elapsed, memory.ticked_s = time_s - memory.ticked_s, time_s
         self.count = 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
         return self.count

@@ -5,6 +5,7 @@ notebook, both by the same title and rows; and when two of them are equal.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from html import escape
 from typing import Any
@@ -12,7 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Shown", "Value", "card", "few", "lines", "often", "same", "span"]
+__all__ = ["Shown", "Value", "card", "counted", "few", "lines", "often", "same", "span"]
+
+#: The plural that a phrase begins with, be it the second word: its singular, and what it has beyond that.
+_PLURAL = re.compile(r"((?:\w+ )??\w+?)(?:(?<=x)e)?s\b")
 
 
 def card(title: str, rows: Mapping[str, object]) -> str:
@@ -44,6 +48,19 @@ def lines(title: str, rows: Mapping[str, object]) -> str:
     there = {name: str(value) for name, value in rows.items() if value is not None}
     wide = max(map(len, there), default=0)
     return "\n".join([title, *(f"  {name:{wide}}  {value}" for name, value in there.items())])
+
+
+def counted(count: int, what: str) -> str:
+    """So many things; `what` begins with their plural.
+
+    Examples
+    --------
+    >>> counted(2, "rows cut short"), counted(1, "rows cut short"), counted(1, "infinite values"), counted(1, "fixes")
+    ('2 rows cut short', '1 row cut short', '1 infinite value', '1 fix')
+    """
+    if count == 1 and (plural := _PLURAL.match(what)):
+        what = plural[1] + what[plural.end() :]
+    return f"{count} {what}"
 
 
 def often(time_s: NDArray[np.float64], rows: str) -> str:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
 from navfilter.io import units
+from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.vehicle_toml import _plain as toml_value
 from navfilter.io.vehicle_toml import _toml as toml_text
 from navfilter.models.error_models import ErrorModel, Sum
@@ -80,14 +81,12 @@ def write_page(
         body += [heading_html(heading), figure_html(drawn, caption)]
         if progress is not None:
             progress()
-    text = page(title, title, subtitle, body)
-    return [_write(folder / "identify.html", text), *written]
+    return [_write(folder / "identify.html", page(title, title, subtitle, body)), *written]
 
 
 def _write(path: Path, text: str) -> Path:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    with replacing(path) as file:
+        file.write(text)
     return path
 
 

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.display import counted
 from navfilter.io.mission_schema import StartSpec
 from navfilter.io.trust import Place
 from navfilter.io.validation import validate
@@ -372,7 +373,7 @@ def streams_of(
         sd = column.sd()
         late = int(np.count_nonzero(np.diff(time_s) < 0.0))
         if late:
-            notes.append(f"{name}: {late} readings arrived out of order; sorted by time")
+            notes.append(f"{name}: {counted(late, 'readings')} arrived out of order; sorted by time")
             order = np.argsort(time_s, kind="stable")
             time_s, value, sd = time_s[order], value[order], None if sd is None else sd[order]
         names = columns.get(name, ())

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, Times, clock_times, group_names, group_values
 from navfilter.io.contents import SD, driving, groups
@@ -269,7 +270,7 @@ class _Reader:
         self.notes += [f"{where}: {note}" for note in times.notes]
         self._note(where, int(np.count_nonzero(~np.isfinite(time_s))), "rows without a readable time dropped")
         example = f", such as {counts.example}" if counts.example else ""
-        self._note(where, counts.unreadable, f"cells that are no number taken as missing{example}")
+        self._note(where, counts.unreadable, f"cells without a number taken as missing{example}")
         self._note(where, counts.sentinel, "rows marked invalid by their value")
         self._note(where, counts.infinite, "infinite values taken as missing")
         if SD in parts:
@@ -316,7 +317,7 @@ class _Reader:
         first, last = runs.rows[source.run - 1]
         own = np.full(time_s.size, np.nan)
         own[first : last + 1] = time_s[first : last + 1]
-        self._note(where, int(np.isfinite(time_s).sum() - np.isfinite(own).sum()), f"rows are not of run {source.run}")
+        self._note(where, int(np.isfinite(time_s).sum() - np.isfinite(own).sum()), "rows of other runs left out")
         return own
 
     def _clock_table(self, clock: Clock) -> Table:
@@ -337,7 +338,8 @@ class _Reader:
         step = np.diff(time_s)
         backward = step < 0.0
         if backward.any():
-            self._note(where, int(backward.sum()), f"stamps go back, by up to {-step.min():.3g} s; rows sorted by time")
+            what = f"steps back in time, by up to {-step.min():.3g} s; rows sorted by time"
+            self._note(where, int(backward.sum()), what)
             order = np.argsort(time_s, kind="stable")
             time_s, parts = time_s[order], {key: part[order] for key, part in parts.items()}
         repeated = np.concatenate([[False], np.diff(time_s) == 0.0])
@@ -345,12 +347,12 @@ class _Reader:
             self._note(where, int(repeated.sum()), "rows with the time of the row before dropped")
             time_s, parts = time_s[~repeated], {key: part[~repeated] for key, part in parts.items()}
         else:
-            self._note(where, int(repeated.sum()), "rows have the time of the row before")
+            self._note(where, int(repeated.sum()), "rows with the time of the row before")
         return time_s, parts
 
     def _note(self, where: str, count: int, what: str) -> None:
         if count:
-            self.notes.append(f"{where}: {count} {what}")
+            self.notes.append(f"{where}: {counted(count, what)}")
 
 
 def _wanted_of_logs(spec: MissionSpec, folder: Path) -> dict[Path, dict[str, set[str]]]:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.display import counted
 from navfilter.io import read_mission
 from navfilter.io.columns import series_times
 from navfilter.io.table import TableOptions
@@ -120,7 +121,7 @@ def read_series(
     name = f"{options.table}[{name}]" if options.table else f"{options.topic} {name}" if options.topic else name
     notes += table.notes
     if wrong:
-        notes.append(f"{wrong} cells of {name} are not numbers and count as missing")
+        notes.append(counted(wrong, f"cells of {name} without a number taken as missing"))
     if time_column is None:
         if rate_hz is None:
             raise MissionError(f"{text}: give the sampling rate with --rate-hz, or the time with --time-column.")
@@ -222,10 +223,10 @@ def on_a_grid(
     fresh = np.r_[True, np.diff(time) > 0.0]
     if np.any(np.diff(time) < 0.0):
         raise MissionError(
-            f"{source}: the time of {name} goes back {int(np.sum(np.diff(time) < 0))} times. Sort the rows."
+            f"{source}: the time of {name} goes back {counted(int(np.sum(np.diff(time) < 0)), 'times')}. Sort the rows."
         )
     if not fresh.all():
-        notes.append(f"{int((~fresh).sum())} rows repeat a time and were dropped")
+        notes.append(counted(int((~fresh).sum()), "rows with the time of the row before dropped"))
         time, x = time[fresh], x[fresh]
     step = np.diff(time)
     if (even := _even_step(step)) is not None:
@@ -249,7 +250,8 @@ def on_a_grid(
     grid = np.full(int(index[-1]) + 1, np.nan)
     grid[index] = x
     if grid.size > time.size:
-        notes.append(f"{grid.size - time.size} samples are missing in {int(np.sum(places > 1))} gaps")
+        gaps = counted(int(np.sum(places > 1)), "gaps")
+        notes.append(f"{counted(grid.size - time.size, 'samples')} missing in {gaps}")
     return Series(name, grid, 1.0 / period, source, float(time[0]), tuple(notes))
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.display import counted
 from navfilter.io.table import Table, TableOptions, Where, listing
 from navfilter.io.text_tables import before_comment, read_text
 from navfilter.io.trust import Place
@@ -124,7 +125,7 @@ def _read_long(place: Place, names: tuple[Where, ...], options: TableOptions) ->
     chosen = _chosen_rows(table, names)
     left_out = passed + len(next(iter(table.columns.values()))) - len(next(iter(chosen.columns.values())))
     words = " and ".join(condition.words() for condition in names)
-    notes = (f"{place.path.name}: {left_out} rows left out by where ({words})",) if left_out else ()
+    notes = (f"{place.path.name}: {counted(left_out, 'rows')} left out by where ({words})",) if left_out else ()
     return replace(chosen, notes=table.notes + notes)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from navfilter.foundation.display import counted
 from navfilter.io.table import Table, TableOptions
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
@@ -96,10 +97,10 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
         reason = str(error).splitlines()[0] if str(error) and place.quoted else type(error).__name__
         raise MissionError(f"{place.shown} cannot be read as a table: {reason}.") from None
     if skipped := sum(str(warning.message).count("Skipping line") for warning in told):
-        notes.append(f"{skipped} rows with too many fields skipped")
+        notes.append(counted(skipped, "rows with too many fields skipped"))
     if cut := _cut_rows(frame, rows, begin, delimiter, bare):
         frame = frame.drop(index=cut)
-        notes.append(f"{len(cut)} rows with fewer fields than columns left out: cut short")
+        notes.append(counted(len(cut), "rows with fewer fields than columns left out: cut short"))
     columns = {name: frame[name].to_numpy() for name in names}
     while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
         columns.popitem()
@@ -135,7 +136,8 @@ def _text(place: Place, data: bytes, notes: list[str]) -> bytes:
     runs = len(_ZEROS.findall(data))
     if control or not kept.strip() or runs > 1 + kept.count(b"\n") // 20:
         raise MissionError(f"{place.shown} is not a text file (it contains zero bytes).")
-    notes.append(f"{data.count(0)} zero bytes left out: reserved and never written, as when the power is lost")
+    what = "zero bytes left out: reserved and never written, as when the power is lost"
+    notes.append(counted(data.count(0), what))
     return kept
 
 

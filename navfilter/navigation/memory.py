@@ -18,7 +18,6 @@ from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.refusals import RejectionRun
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.faults.velocity_fault import VelocityFault
-from navfilter.filter.channel_memory import ChannelMemory
 from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.imu_intake import ImuIntakeMemory
@@ -92,7 +91,6 @@ MEMORY = (
     *(
         NavigatorMemory,
         FilterMemory,
-        ChannelMemory,
         MonitorMemory,
         SensorFaults,
         RejectionRun,

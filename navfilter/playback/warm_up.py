@@ -33,10 +33,8 @@ from navfilter.simulation.simulate import tiny_mission, tiny_missions
 
 __all__ = ["help_warming", "warm_up"]
 
-#: Files of kernels for the filter and for what learns: parts that have none in common are compiled side by side.
-FILTER, LEARNER = ("strapdown", "kalman", "measurement"), ("open_loop_residual", "arma_likelihood", "arma_fit")
-#: What only a vehicle with an inertial unit needs.
-STRETCH = ("batch", "imu_checks")
+#: Files of kernels that every filter needs.
+FILTER = ("strapdown", "kalman", "measurement")
 
 
 def warm_up(vehicle: Vehicle | None = None, progress: bool = False, *, smoother: bool = True) -> None:
@@ -199,7 +197,7 @@ class _Helper:
             )
         except OSError:  # no process to be had: compiled here, one after the other
             return
-        most = kernel_count(*FILTER, *STRETCH, *LEARNER)
+        most = kernel_count()
         self._counter = threading.Thread(target=count_announced, args=(self._process.stdout, most), daemon=True)
         self._counter.start()
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from navfilter.evaluation.comparison import Comparison
 from navfilter.evaluation.learned_text import in_force, learnt
+from navfilter.io.tracks.atomic_files import replacing
 from navfilter.models.mission import Mission
 from navfilter.rendering.clock import clock_of
 from navfilter.rendering.drawing import style
@@ -50,12 +51,9 @@ def write_comparison(
     progress : callable, optional
         Called after each figure.
     """
-    path = Path(path)
-    text = render_comparison(comparison, tracks, mission, progress)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
-    return path
+    with replacing(path) as file:
+        file.write(render_comparison(comparison, tracks, mission, progress))
+    return Path(path)
 
 
 def render_comparison(

@@ -17,6 +17,7 @@ from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
 from navfilter.evaluation.verdict import Verdict
+from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.write import summarise
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
@@ -75,12 +76,9 @@ def write_report(
     tiles : path-like, optional
         For a chart under the track, see `navfilter.report.chart.chart_of`.
     """
-    path = Path(path)
-    text = render_report(tracks, mission, progress, assessment, beside, tiles)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
-    return path
+    with replacing(path) as file:
+        file.write(render_report(tracks, mission, progress, assessment, beside, tiles))
+    return Path(path)
 
 
 def render_report(

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from navfilter.foundation.display import counted
 from navfilter.service.protocol import Lines
 from navfilter.service.sources import BLOCK, keep_alive
 from navfilter.service.waterlinked import WaterLinked
@@ -101,7 +102,7 @@ class Instrument:
         if cut_off:
             self._bad += 1
             if str(self._bad).strip("0") == "1":  # the first, the tenth, the hundredth ...
-                self._tell(f"{self._bad} lines that are no report", repeat=True)
+                self._tell(counted(self._bad, "lines that are no report"), repeat=True)
             return False
         self._tell("it speaks")
         if reading is not None:
@@ -109,7 +110,7 @@ class Instrument:
                 self._readings.popleft()
                 self._dropped += 1
                 if str(self._dropped).strip("0") == "1":
-                    self._tell(f"{self._dropped} readings dropped: the navigation does not keep up", repeat=True)
+                    self._tell(counted(self._dropped, "readings dropped: the navigation does not keep up"), repeat=True)
             self._readings.append(reading)
             self._wake()
         return True

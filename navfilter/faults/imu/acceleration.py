@@ -40,9 +40,7 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
     """
     kept, since_s = channel.faults, channel.faults.rejected_since_s
     nav = filter.memory.nav
-    residual = (
-        ground_velocity.residual(channel, nav, channel.note[3 : 3 + channel.axes]) if channel.sensor.ground else None
-    )
+    residual = ground_velocity.residual(channel, nav, channel.note[3 : 3 + channel.axes]) if channel.ground else None
     if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
         return 0.0
     if residual is None or not _was_right(filter, channel):
@@ -76,7 +74,7 @@ def may_accuse(filter: FilterState, channel: Channel, time_s: float) -> bool:
 
 def _was_right(filter: FilterState, channel: Channel) -> bool:
     """Whether a velocity that is refused was used for long before, on a way."""
-    if not filter.inertial or not channel.sensor.ground:
+    if not filter.inertial or not channel.ground:
         return False
     kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
     return channel.memory.used_s - kept.agreed_s >= settings.ACCELERATION_USED_S and math.hypot(*way) >= settings.WAY_M
@@ -98,7 +96,7 @@ def ran_away(filter: FilterState, channel: Channel, time_s: float) -> bool:
 def read(filter: FilterState, channel: Channel) -> Array:
     """The velocity that a refused reading says, in b, shape (3,) [m/s]."""
     nav, values = filter.memory.nav, channel.note[3 : 3 + channel.axes]
-    if channel.sensor.ground == ground_velocity.AXES:
+    if channel.ground == ground_velocity.AXES:
         off = np.linalg.pinv(channel.near[:, 3:6]) @ np.nan_to_num(values)
         return np.asarray(nav[6:15].reshape(3, 3).T @ (nav[3:6] + off))
     off_b = np.nan_to_num(ground_velocity.residual(channel, nav, values))

@@ -148,7 +148,7 @@ class BiasJumpGlr:
     def _carried(filter: FilterState) -> bool:
         """Whether compass and DVL carry the vehicle without it."""
         recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < settings.GLR_HEARD_S]
-        return any(c.moves and not c.faults.set_aside for c in recent) and any(
+        return any(c.moves and c.faults.aside is None for c in recent) and any(
             c.sensor.observes.north is not None for c in recent
         )
 
@@ -157,7 +157,7 @@ class BiasJumpGlr:
         """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
         since_s = memory.time_s - channel.faults.rejected_since_s
         late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < settings.GLR_LONGEST_S
-        carries = not channel.faults.set_aside and (channel.moves or channel.sensor.observes.north is not None)
+        carries = channel.faults.aside is None and (channel.moves or channel.sensor.observes.north is not None)
         return late and since_s > settings.REJECTED_S and carries
 
     def _leave_out(self, filter: FilterState, sizes: Array) -> Iterator[Action]:

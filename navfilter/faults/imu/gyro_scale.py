@@ -170,7 +170,7 @@ def _undisputed(compass: Channel) -> bool:
 
 def _velocity_refused(filter: FilterState, time_s: float) -> bool:
     """Whether a velocity contradicts the state, too."""
-    moving = [c.faults for c in filter.channels.values() if c.moves and not c.faults.set_aside]
+    moving = [c.faults for c in filter.channels.values() if c.moves and c.faults.aside is None]
     return any(m.refused_s > time_s - settings.LATELY_S or not math.isnan(m.rejected_since_s) for m in moving)
 
 

@@ -117,7 +117,7 @@ def set_anew(filter: FilterState) -> Iterator[Action]:
             yield MovePosition(*moved(filter, channel))
             N[:2, :2] = follows(filter, channel)
         for channel in filter.channels.values():
-            if channel.moves and not channel.faults.set_aside:
+            if channel.moves and channel.faults.aside is None:
                 channel.faults.rejected_since_s, channel.faults.refused = math.nan, None
     yield RestartRest()  # a mean over what was replaced shows no rest
     yield Count("realigned")
@@ -216,7 +216,7 @@ def _refused_velocity(filter: FilterState) -> tuple[Array, Channel] | None:
     """By how much the velocity in n is off, as a sensor says whose readings are refused."""
     for channel in filter.channels.values():
         memory, now_s = channel.faults, filter.memory.time_s
-        refused = channel.moves and not channel.faults.set_aside and not math.isnan(memory.rejected_since_s)
+        refused = channel.moves and channel.faults.aside is None and not math.isnan(memory.rejected_since_s)
         if refused and now_s - channel.memory.last_s < settings.TILT_HEARD_S:
             residual = ground_velocity.components(channel, full_residual(filter, channel))
             seen = np.isfinite(residual)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from navfilter.foundation.display import counted
 from navfilter.io.logs.formats import log_format
 from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
 from navfilter.io.logs.topic_names import Wanted, without_instance
@@ -73,8 +74,8 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None], allowance: 
         if absent := topic_columns.absent():
             there = listing("fields", [LOG_TIME, *topic_columns.fields])
             raise MissionError(f'{path}: topic "{name}" has no field "{absent[0]}" ({there}).')
-        tally[f"cells of {name} are no numbers"] += topic_columns.unreadable
-    notes = tuple(f"{path.name}: {count} {reason}" for reason, count in tally.items() if count)
+        tally[f"cells of {name} without a number"] += topic_columns.unreadable
+    notes = tuple(f"{path.name}: {counted(count, reason)}" for reason, count in tally.items() if count)
     notes += tuple(f"{path.name}: {words}" for words in _namesakes(answers, wanted))
     # What was dropped was dropped once, from the log: the first of its tables says so.
     tables = {}
@@ -109,10 +110,10 @@ def files_of(path: Path) -> list[Path]:
 
 def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted, tally: Counter[str]) -> None:
     if len(topics) > 1 and "*" not in name:
-        several = " and ".join(f"{topic} ({count} records)" for topic, count in topics.items())
+        several = " and ".join(f"{topic} ({counted(count, 'records')})" for topic, count in topics.items())
         raise MissionError(f'{path}: topic "{name}" is {several}: name one of them, or "*{name}*" for all.')
     if not topics:
         there = ", ".join(wanted.seen) or "none"
-        why = "; ".join(f"{count} {reason}" for reason, count in tally.items() if count)
+        why = "; ".join(counted(count, reason) for reason, count in tally.items() if count)
         left_out = f" Left out while reading: {why}." if why else ""
         raise MissionError(f'{path}: there is no topic "{name}" with any record (topics: {there}).{left_out}')

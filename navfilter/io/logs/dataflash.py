@@ -183,7 +183,7 @@ def _format(log: _Log, body: bytes, tally: Counter[str]) -> None:
         log.formats[kind] = form
     else:
         log.formats.pop(kind, None)
-        tally["formats that contradict themselves left out"] += 1
+        tally["contradictory formats left out"] += 1
 
 
 def _state_units(log: _Log, found: dict[str, list[tuple[Any, ...]]]) -> None:

@@ -73,7 +73,7 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
             for part, covariance in with_covariance[connection.msgtype]:
                 if getattr(message, covariance)[0] == -1.0:
                     setattr(message, part, _nothing(getattr(message, part)))
-                    tally[f"messages of {connection.topic} say that they have no {part} (covariance -1)"] += 1
+                    tally[f"messages of {connection.topic} without {part}, as they say (covariance -1)"] += 1
             yield connection.topic, nanoseconds * 1e-9, message
 
 
@@ -183,7 +183,7 @@ def _until_damage(reader: AnyReader, chosen: list[Any], tally: Counter[str]) -> 
     except Exception as error:  # as above
         tally[f"place where the bag is damaged, nothing read behind it ({_one_line(error)})"] += 1
     if missing > 0:
-        tally["messages that the bag's index counts are not to be found"] += missing
+        tally["messages missing that the bag's index counts"] += missing
 
 
 def _one_line(error: BaseException) -> str:

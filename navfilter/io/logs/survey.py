@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.display import counted
 from navfilter.foundation.quoting import one_line
 from navfilter.io.logs.cache import files_of
 from navfilter.io.logs.formats import Format, log_format
@@ -172,7 +173,7 @@ def survey(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
         topics.append(
             Topic(name, kinds.get(name, ""), time.size, time, kept[name].columns(), wanted.units.get(name, {}))
         )
-    notes = tuple(f"{count} {reason}" for reason, count in tally.items() if count)
+    notes = tuple(counted(count, reason) for reason, count in tally.items() if count)
     return Survey(path, known, tuple(topics), notes, unpacked_bytes, wanted.clock)
 
 

@@ -17,6 +17,9 @@ __all__ = ["announce_each", "count_announced", "is_compiled", "kernel_count", "s
 _EVERY_S = 10.0
 _WIDTH = 79
 _KERNELS = "navfilter.kernels."
+_FOLDER = Path(__file__).parents[1]
+#: Files of kernels that no navigation needs: `navfilter identify --online` does.
+_APART = {"recursive_arma", "recursive_arma_window"}
 
 
 class _Shown(event.Listener):
@@ -92,7 +95,7 @@ def is_compiled(*files: str) -> bool:
     from numba import config
 
     settings: Any = config
-    sources = [Path(__file__).parents[1] / f"{name}.py" for name in files]
+    sources = [_FOLDER / f"{name}.py" for name in files]
     if settings.DISABLE_JIT:
         return True
     elsewhere = settings.CACHE_DIR
@@ -105,10 +108,13 @@ def is_compiled(*files: str) -> bool:
 
 
 def kernel_count(*files: str) -> int:
-    """How many kernels these files of `navfilter.kernels` hold, those left out that are compiled within others."""
+    """How many kernels these files of `navfilter.kernels` hold, those left out that are compiled within others.
+    Default: all that navigation may need.
+    """
     import importlib
 
-    modules = [importlib.import_module(_KERNELS + name) for name in files]
-    functions = [function for module in modules for function in vars(module).values()]
-    options = [function.targetoptions for function in functions if hasattr(function, "targetoptions")]
-    return sum(option.get("inline") != "always" for option in options)
+    names = files or {file.stem for file in _FOLDER.glob("[a-z]*.py")} - _APART
+    modules = [importlib.import_module(_KERNELS + name) for name in names]
+    kernels = {function for module in modules for function in vars(module).values() if hasattr(function, "py_func")}
+    own = {_KERNELS + name for name in names}
+    return sum(k.targetoptions.get("inline") != "always" for k in kernels if k.py_func.__module__ in own)
