@@ -146,7 +146,7 @@ class Widening(NamedTuple):
     white_factor: float
 
 
-def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) -> Widening | None:
+def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, unseen: float) -> Widening | None:
     """After a long series of rejections the gate doubles, and again; a velocity that has not confirmed the state yet is
     not kept waiting, for start and description may as well be wrong, and a state that nothing holds runs away. What
     that adds when it lets the reading in, else None.
@@ -161,6 +161,8 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
         Time and normalised innovation squared of the reading.
     dof : int
         Components used in it.
+    unseen : float
+        Force that the inertial unit may feel wrongly, `navfilter.Imu.gap_force_sd` [m/s^2]; 0 without one.
 
     Notes
     -----
@@ -172,9 +174,8 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (settings.PATIENT if channel.faults.astray else 1.0)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
-    if not (channel.moves and not channel.faults.confirmed(channel.memory.used_s)) and (
-        periods < 1 or nis > limit * 2.0 ** min(periods, 500)
-    ):
+    widens = periods >= 1 and nis <= limit * 2.0 ** min(periods, 500)
+    if not widens and not _runs_away(channel, time_s, unseen):
         return None
     a, H = channel.axes, channel.H
     seen = channel.PH @ H.T
@@ -183,6 +184,21 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     spread = np.diag(P)[places, None] * H[:, places].T
     inverse = np.linalg.pinv(H[:, places] @ spread, hermitian=True)
     return Widening(places, grow * spread @ inverse @ seen @ inverse @ spread.T, max(1.0, nis / limit))
+
+
+def _runs_away(channel: Channel, time_s: float, unseen: float) -> bool:
+    """Whether a velocity is refused that has not confirmed the state, and is off by no more than a state may run away
+    in the time that nothing has held it.
+    """
+    kept, used_s = channel.faults, channel.memory.used_s
+    if not channel.moves or kept.confirmed(used_s):
+        return False
+    # after one that was let in so nothing waits
+    if kept.agreed_s != used_s and time_s - kept.rejected_since_s < settings.REFUSED_S:
+        return False
+    alone_s = time_s - max(used_s, kept.rejected_since_s - channel.period_s)
+    largest = float(np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0))
+    return largest <= settings.AWAY_SD * unseen * alone_s
 
 
 def whole_residual(channel: Channel, x: Array) -> Array:

@@ -205,7 +205,9 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
     """A gate that has refused for its time-out doubles, and again; where it may be depth or height, both are opened."""
     P, time_s = filter.memory.P, reading.time_s
     disproved = sensor_bias.disproved(channel, time_s)
-    added = None if disproved else innovation_gate.widening(P, channel, time_s, reading.nis, reading.dof)
+    unseen = filter.vehicle.drive.gap_force_sd if filter.inertial else 0.0  # type: ignore[attr-defined]
+    widening = (P, channel, time_s, reading.nis, reading.dof, unseen)
+    added = None if disproved else innovation_gate.widening(*widening)
     if added is None:
         return False
     if depth_fault.undecided(filter, channel, time_s):
@@ -213,7 +215,8 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
         return False
     channel.R *= added.white_factor
     yield Inflate(added.places, added.places, added.covariance)
-    channel.faults.agreed_s = math.nan  # it is the state that was wrong: what it agrees with next is another
+    if channel.moves:
+        channel.faults.agreed_s = math.nan  # it is the state that was wrong: what it agrees with next is another
     _follows(channel, time_s)
     yield from alternative_path.followed(filter, channel)
     yield from _readmit(filter, channel, time_s)

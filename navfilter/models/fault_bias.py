@@ -177,10 +177,8 @@ def with_offsets(
         added += tuple(FaultDeviation(start_sd=size, of_rad=of_rad) for of_rad in (0.0, 0.5 * math.pi))
     opened = [sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain)]
     if at_m_s:
-        of_all = (
-            FaultScale(start_sd=min(size, SCALE * at_m_s), at_m_s=at_m_s),
-            *(FaultCurrent(start_sd=size, component=i) for i in range(2)),
-        )
+        flows = () if only is not None else [FaultCurrent(start_sd=size, component=i) for i in range(2)]
+        of_all = FaultScale(start_sd=min(size, SCALE * at_m_s), at_m_s=at_m_s), *flows
         opened[0] = sum(of_all, start=opened[0])
     return tuple(opened)
 
