@@ -184,6 +184,9 @@ def _state_contradicted(filter: FilterState, channel: Channel, reading: Rejected
     yield Inflate(drive.slice, drive.slice, drive.P0)
     for other in channels:
         kept = other.faults
+        if other.offset:  # what a sensor was thought to be off by was told by the state
+            places = sensor_bias.offset_places(other)
+            yield Inflate(places, places, other.group.P0[other.offsets, other.offsets])
         if not math.isnan(kept.rejected_since_s):
             _follows(other, time_s)
         kept.rejected_since_s, kept.agreed_s, kept.refused = math.nan, math.nan, None
