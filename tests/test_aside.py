@@ -95,7 +95,7 @@ def test_a_jump_beside_the_speed_is_one_of_the_velocity_where_a_unit_carries():
         return SimpleNamespace(memory=memory, inertial=inertial, monitor=monitor)
 
     def channel(reading, ground=3):
-        return SimpleNamespace(sensor=SimpleNamespace(ground=ground), reading=np.array(reading), axes=3)
+        return SimpleNamespace(ground=ground, reading=np.array(reading), axes=3)
 
     dvl, jump = channel([-1.5, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
     assert velocity_fault.jumped(filter(1.5), dvl, jump) == SIGN

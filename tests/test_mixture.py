@@ -116,4 +116,5 @@ def test_walks_are_the_drifts():
 def test_a_description_that_sums_exclude_goes():
     far = nf.GaussMarkov(sd=1.0, tau_s=60.0)
     beside, alone = handed_out(far, 1800.0)
-    assert level(beside) < 1.05 * level(alone)
+    # of the description a part in a million stays, whose power at zero frequency is 5e4 times as large
+    assert level(beside) < 1.15 * level(alone)

@@ -43,7 +43,7 @@ HORIZON_S = 60.0
 #: many there are at least that weigh anything [1] (chosen).
 FIRST, LEAST = 2, 3
 #: Neither of the two is ever less probable [1] (chosen: of a variance nobody sees a millionth).
-NEVER = 1e-6
+LEAST_SHARE = 1e-6
 #: A diffuse start is so many times as wide as the series, as a variance [1], and a rate as in so many ticks (chosen).
 DIFFUSE = 100.0
 
@@ -60,7 +60,9 @@ def described_share(likelihood: Likelihood, described: Block, learnt: Block) -> 
     """
     told = [_sums(likelihood, one) for one in (learnt, described)]
     gain = told[0][0] - told[1][0]
-    return float(expit(-gain).clip(NEVER, 1.0 - NEVER)) if told[0][1] >= LEAST and math.isfinite(gain) else 0.5
+    return (
+        float(expit(-gain).clip(LEAST_SHARE, 1.0 - LEAST_SHARE)) if told[0][1] >= LEAST and math.isfinite(gain) else 0.5
+    )
 
 
 def _sums(likelihood: Likelihood, block: Block) -> tuple[float, int]:
