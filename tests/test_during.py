@@ -12,7 +12,8 @@ from navfilter.models.during import During
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.periodic_error import Cycle
-from navfilter.playback.instructions import instructed, scaled
+from navfilter.models.scaled_errors import larger
+from navfilter.playback.instructions import instructed
 from navfilter.playback.replay import replay
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -103,7 +104,7 @@ def test_what_cannot_be_said(dive, said, words):
     ],
 )
 def test_scaled_is_so_many_times_as_large(model):
-    before, after = model.block(0.5), scaled(model, 3.0).block(0.5)
+    before, after = model.block(0.5), larger(model, 3.0).block(0.5)
     variances = [b.r + b.C @ b.P0 @ b.C for b in (before, after)]
     assert variances[1] == pytest.approx(9.0 * variances[0])
     assert np.allclose(before.Phi, after.Phi)

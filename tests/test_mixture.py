@@ -11,7 +11,7 @@ import navfilter as nf
 from navfilter.kernels.sum_likelihood import sum_likelihood
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.likelihood import Likelihood
-from navfilter.learning.mixture import described_share
+from navfilter.learning.mixture import LEAST_SHARE, described_share
 from navfilter.models.error_models import Sum, block_level
 from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.faults import draw_error
@@ -116,5 +116,5 @@ def test_walks_are_the_drifts():
 def test_a_description_that_sums_exclude_goes():
     far = nf.GaussMarkov(sd=1.0, tau_s=60.0)
     beside, alone = handed_out(far, 1800.0)
-    # of the description a part in a million stays, whose power at zero frequency is 5e4 times as large
-    assert level(beside) < 1.15 * level(alone)
+    left = LEAST_SHARE * block_level(far.block(PERIOD_S))
+    assert level(beside) == pytest.approx(level(alone) + left, rel=0.01)

@@ -8,6 +8,7 @@ import dataclasses
 import itertools
 import json
 import shutil
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -74,16 +75,22 @@ return shown.length > 0 && shown.every((each) => each.classList.contains("drawn"
 """
 
 
-@pytest.fixture(scope="module")
-def shown(report):
-    """The report in a wide window, all drawn."""
+@contextmanager
+def wide(page):
+    """A page in a wide window, all drawn."""
     driver = browser(1400)
     try:
-        driver.get(report.as_uri())
+        driver.get(page.as_uri())
         wait(driver, ALL_DRAWN)
         yield driver
     finally:
         driver.quit()
+
+
+@pytest.fixture(scope="module")
+def shown(report):
+    with wide(report) as driver:
+        yield driver
 
 
 def ranges(driver):
@@ -235,13 +242,8 @@ def overlaid(tmp_path_factory):
         file.parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (256, 256), (200, 220, 240)).save(file)
     report = write_report(tracks, mission, folder / "report.html", beside={"other": other}, tiles=folder / "tiles")
-    driver = browser(1400)
-    try:
-        driver.get(report.as_uri())
-        wait(driver, ALL_DRAWN)
+    with wide(report) as driver:
         yield driver
-    finally:
-        driver.quit()
 
 
 def test_another_run_and_a_chart_are_shown(overlaid):

@@ -24,10 +24,10 @@ from typing import Annotated, Any, ClassVar, Literal, Union
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
-import navfilter.models.periodic_error  # noqa: F401 - kinds are those whose module has been imported
 from navfilter.foundation.quoting import toml_key, toml_text
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
+from navfilter.models import periodic_error  # noqa: F401 - kinds are those whose module has been imported
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.fault_bias import FaultBias
 from navfilter.models.learned_arma import LearnedArma

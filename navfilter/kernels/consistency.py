@@ -690,8 +690,7 @@ def turn_current(P, K, res, first):
     _turn_states(P, current_change(K, res, first), first)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(cache=True, inline="always")
 def turn_back(L, lam, by, first):
     """`_turn_states` backward."""
     n = len(lam)

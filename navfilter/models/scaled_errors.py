@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White, block_level
 from navfilter.models.learned_arma import LONGEST_SPAN_S, QUICKER, learned_part, with_learned
+from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Parts", "parts_of", "scaled", "sized"]
+__all__ = ["Parts", "larger", "parts_of", "scaled"]
 
 #: What lasts as long as this is slow [s]: the limit that a learner with a full window has.
 SLOW_S = LONGEST_SPAN_S / QUICKER
-#: The fields of error models that say how large they are.
-_SIZES = ("sd", "density", "start_sd")
+#: The fields of error models that say how large they are, or are models that do.
+_SIZES = ("sd", "density", "start_sd", "prior", "slow", "model")
 
 
 class Parts(NamedTuple):
@@ -83,12 +84,20 @@ def scaled(model: ErrorModel, period_s: float, quick: float = 1.0, slow: float =
     return _scaled(model, period_s, quick, slow, quick * parts_of(model, period_s).white)
 
 
-def sized(part: Any, factor: float) -> ErrorModel:
-    """One error, no sum of them, larger by a factor; of a kind that does not say how large it is, as it is."""
-    sizes = {f.name: getattr(part, f.name) for f in dataclasses.fields(part) if f.name in _SIZES}
-    known = {name: factor * size for name, size in sizes.items() if size is not None}
-    larger: ErrorModel = replace(part, **known) if known and factor != 1.0 else part
-    return larger
+def larger(model: ErrorModel, factor: float) -> ErrorModel:
+    """The same error, or sum of errors, so many times as large; of a learnt one what was learnt and its prior."""
+    if isinstance(model, Sum):
+        return Sum(tuple(larger(part, factor) for part in model.parts))
+    new: dict[str, Any] = {}
+    for name in (field.name for field in dataclasses.fields(model) if field.name in _SIZES):  # type: ignore[arg-type]
+        value = getattr(model, name)
+        if isinstance(value, ErrorModel):
+            new[name] = larger(value, factor)
+        elif isinstance(value, ArmaModel):
+            new[name] = replace(value, sd=factor * value.sd)
+        elif value is not None:
+            new[name] = factor * value
+    return model if factor == 1.0 or not new else replace(model, **new)  # type: ignore[type-var]
 
 
 def _scaled(model: ErrorModel, period_s: float, quick: float, slow: float, white: float) -> ErrorModel:
@@ -97,7 +106,10 @@ def _scaled(model: ErrorModel, period_s: float, quick: float, slow: float, white
     if learned is not None and learned.prior is not None:
         prior = _scaled(learned.prior, period_s, quick, slow, white)
         model, white = with_learned(model, replace(learned, prior=prior)), 0.0
-    parts = [sized(part, slow if _is_slow(part, period_s) else quick) for part in _parts(model)]
+    parts = [
+        part if learned_part(part) is not None else larger(part, slow if _is_slow(part, period_s) else quick)
+        for part in _parts(model)
+    ]
     parts += [White(sd=white)] if white > 0.0 else []
     return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
 

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from navfilter.io.vehicle_toml import changed
 from navfilter.models.during import During, alias
-from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.mission import Mission
+from navfilter.models.scaled_errors import larger
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
-from navfilter.timeseries.model import ArmaModel
 
 __all__ = ["instructed"]
-
-#: Fields of error models in the unit of the sensor, or of a model of it.
-_AMOUNTS = ("sd", "density", "start_sd", "prior", "slow", "model")
 
 
 def instructed(vehicle: Vehicle, mission: Mission) -> tuple[Vehicle, Mission]:
@@ -91,26 +86,7 @@ def _described(name: str, sensor: Sensor, said: Sequence[During]) -> Sensor:
         sensor = changed(sensor, dict(one.keys), f"[[during]] of {name}")
         if one.noise != 1.0:
             error = sensor.error
-            models = (
-                tuple(scaled(m, one.noise) for m in error) if isinstance(error, tuple) else scaled(error, one.noise)
-            )
-            sensor = dataclasses.replace(sensor, error=models)
+            each = error if isinstance(error, tuple) else (error,)
+            models = tuple(larger(model, one.noise) for model in each)
+            sensor = dataclasses.replace(sensor, error=models if isinstance(error, tuple) else models[0])
     return sensor
-
-
-def scaled(model: ErrorModel, factor: float) -> ErrorModel:
-    """The same error, so many times as large."""
-    if isinstance(model, Sum):
-        parts = [scaled(part, factor) for part in model.parts]
-        return sum(parts[1:], start=parts[0])
-    new: dict[str, Any] = {}
-    for field in dataclasses.fields(model):  # type: ignore[arg-type]
-        value = getattr(model, field.name)
-        if field.name in _AMOUNTS and value is not None:
-            if isinstance(value, ErrorModel):
-                new[field.name] = scaled(value, factor)
-            elif isinstance(value, ArmaModel):  # it was learnt
-                new[field.name] = dataclasses.replace(value, sd=factor * value.sd)
-            else:
-                new[field.name] = factor * value
-    return dataclasses.replace(model, **new)  # type: ignore[type-var]
