@@ -166,7 +166,8 @@ def _warm_learner() -> None:
     from navfilter.learning.slow_prior import SlowPrior
     from navfilter.models.navigation_drift import Drift
 
-    learner = Learner(LearnedArma().orders, 400, Drift((1e-3, 1e-5), 0.25), prior=SlowPrior(0.01, 10.0, 100.0))
+    prior, described = SlowPrior(0.01, 10.0, 100.0), GaussMarkov(sd=0.01, tau_s=10.0)
+    learner = Learner(LearnedArma().orders, 400, Drift((1e-3, 1e-5), 0.25), prior=prior, described=described)
     learner.hop(np.random.default_rng(1).normal(size=400))
 
 
