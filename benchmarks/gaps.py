@@ -45,7 +45,7 @@ from navfilter.calibration.over_dives import LEAST_GAP_S, TOGETHER, OverDives, l
 from navfilter.evaluation.baselines import learnable, rival
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
-from navfilter.models.scaled_errors import sized
+from navfilter.models.scaled_errors import larger
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 
@@ -183,7 +183,7 @@ def other(model: ErrorModel, period_s: float, how: float | str) -> ErrorModel:
         sd = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks))
         rest = [White(sd=sd) if how == "white" else GaussMarkov(sd=sd, tau_s=30.0)]
     else:
-        rest = [sized(part, how) for part in rest]
+        rest = [larger(part, how) for part in rest]
     parts = (*walks, *rest)
     return Sum(parts) if len(parts) > 1 else parts[0]
 
