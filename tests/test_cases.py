@@ -13,6 +13,7 @@ import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.commands.cli import main
 from navfilter.io.logs.survey import survey
+from navfilter.models.magnetic import declination
 from navfilter.models.mission import MissionError
 
 DEG = np.pi / 180.0
@@ -183,9 +184,15 @@ def test_serial_days_of_a_spreadsheet_and_a_date_for_the_declination(case, data_
     mission = case("excel-magnetic")
     assert mission.begin_utc == "2023-05-01T12:00:00.000Z" and mission.date.isoformat() == "2023-05-01"
     assert any("days as spreadsheets count them" in note for note in mission.notes)
-    assert case("unix-magnetic").date.isoformat() == "2023-05-01"
-    code, _ = replayed(data_file, "unix-magnetic", tmp_path)
-    assert code == 0
+    magnetic = case("unix-magnetic")
+    assert magnetic.date.isoformat() == "2023-05-01"
+    # the replay has a day for the declination; the headings of this file count from true north, and the verdict says
+    # by how much they are off
+    code, summary = replayed(data_file, "unix-magnetic", tmp_path)
+    latitude, longitude = np.nanmedian(magnetic.streams["gps"].value[:, :2], axis=0)
+    off = math.degrees(declination(math.degrees(latitude), math.degrees(longitude), 0.0, magnetic.date))
+    said = " ".join(finding["text"] for finding in summary["verdict"]["findings"])
+    assert code == 1 and float(re.search(r"misalignment_z ([-\d.]+) deg", said)[1]) == pytest.approx(off, abs=0.3)
 
 
 def test_gps_weeks_before_there_is_a_fix(case):

@@ -11,12 +11,17 @@ import numpy as np
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.foundation.display import counted
+from navfilter.io.geodesy import wrapped
 from navfilter.models.mission import Array, Mission, Stream
 
+#: No sensor of navigation gives readings in shorter steps [s] (chosen: a second is 1.2e-5 days, 1e-3 of it is of a fast
+#: inertial unit).
+_FASTEST_S = 5e-5
 #: Readings that were buffered come faster than this one after the other [s].
 _EMPTYING_S = 0.05
-#: A number that stands for no reading comes so often, and lies so many times farther out than all readings.
-_SENTINELS, _FAR = 5, 5.0
+#: A number that stands for no reading comes so often, and lies so many times farther from its neighbours than most of
+#: the others (that share) do; it is looked for among so many that come most often; the others are such a share.
+_SENTINELS, _FAR, _USUAL, _MARKS, _LEAST_OTHERS = 5, 5.0, 0.99, 3, 0.05
 #: Of changes of readings that are coarse, not held, so many come right after another [1].
 _AT_ONCE = 0.2
 
@@ -42,6 +47,10 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     usual = float(np.median(moving))
     span = stream.time_s[-1] - stream.time_s[0]
     mean_rate = (len(stream) - 1) / span
+    if mean_rate * _FASTEST_S > 1.0:
+        text = f"{mean_rate:.4g} readings in a second: nothing measures so often."
+        cure = "In which unit are its times: day, h, min? Say it in time: unit."
+        yield Finding("error", "clock-unit", name, text, cure)
     text = f"{len(stream)} readings from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
     yield Finding("info", "rate", name, f"{text} (usual step {usual:.4g} s).")
     repeated = int(np.count_nonzero(step == 0.0))
@@ -129,7 +138,7 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
         yield Finding(
             "warning", "held", name, text, "If so, set only_changes = true, or the filter takes old news for new."
         )
-    yield from _sentinel(name, values)
+    yield from _sentinel(name, stream, measured)
     for k in measured:
         yield from _quantisation(name, stream.columns[k], stream.value[:, k])
 
@@ -146,19 +155,38 @@ def _is_coarse(values: Array) -> bool:
     return bool(np.mean(changes[changed] < 1.5 * step) > 0.5 and np.mean(np.diff(changed) == 1) > _AT_ONCE)
 
 
-def _sentinel(name: str, values: Any) -> Iterator[Finding]:
-    """One number that readings without a value have in all columns, far from all others."""
-    known = values[np.isfinite(values).all(axis=1)]
-    if known.shape[0] < _SENTINELS:
-        return
-    rows = (known == known[np.argmax(np.abs(known).sum(axis=1))]).all(axis=1)
-    mark, others = known[rows][0], np.abs(known[~rows])
-    if rows.sum() < _SENTINELS or not len(others) or not np.all(np.abs(mark) > _FAR * others.max()):
-        return
-    text = f"{int(rows.sum())} readings are exactly {mark[0]:.6g}, far from all others: a mark for no reading?"
-    yield Finding(
-        "warning", "mark", name, text, "If so, name it in invalid = [...] of its columns, in the unit of the file."
-    )
+def _sentinel(name: str, stream: Stream, measured: list[int]) -> Iterator[Finding]:
+    """A number that readings without a value have: it comes again and again, and is far from the readings beside it."""
+    for k in measured:
+        column, values = stream.columns[k], stream.value[:, k]
+        known = values[np.isfinite(values)]
+        levels, counts = np.unique(known, return_counts=True)
+        often = [j for j in np.argsort(counts, kind="stable")[-_MARKS:].tolist() if counts[j] >= _SENTINELS]
+        marks = [j for j in often if _is_mark(known, levels[j], column)]
+        if marks:
+            mark, count = levels[marks[-1]], counts[marks[-1]]
+            shown = f"{np.degrees(mark):.6g} deg" if column.endswith("_rad") else f"{mark:.6g}"
+            text = f"{count} readings of {column} are exactly {shown}, far from those beside them:"
+            text += " a mark for no reading?"
+            cure = "If so, name it in invalid = [...] of its columns, in the unit of the file."
+            yield Finding("warning", "mark", name, text, cure)
+            return
+
+
+def _is_mark(known: Array, mark: float, column: str) -> bool:
+    """Whether readings of this number are farther from those beside them than others are from one another."""
+    marked = known == mark
+    others, at = known[~marked], np.flatnonzero(~marked)
+    if others.size < _SENTINELS or others.size < _LEAST_OTHERS * known.size:
+        return False
+
+    def size(step: Array) -> Array:
+        return np.abs(wrapped(step) if column.endswith("_rad") else step)
+
+    beside = np.searchsorted(at, np.flatnonzero(marked))
+    before, after = (others[np.clip(beside - d, 0, others.size - 1)] for d in (1, 0))
+    off = np.minimum(size(mark - before), size(mark - after))
+    return bool(np.median(off) > _FAR * np.quantile(size(np.diff(others)), _USUAL))
 
 
 def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:

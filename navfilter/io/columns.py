@@ -24,6 +24,9 @@ Array = npt.NDArray[np.float64]
 AXES = "xyz"
 #: In SI; what is beyond is no measurement, and its square could not be held.
 LARGEST = 1e100
+QUATERNION = "quaternion"
+#: A quaternion longer or shorter than most of its column by this share is no rotation but a mark for none [1] (chosen).
+OTHER_NORM = 0.1
 #: Who counts days from elsewhere, from where, and how many days that is before 1970.
 _DAYS = (
     ("the modified Julian date does", "1858-11-17", 40587.0),
@@ -47,6 +50,7 @@ class Counts:
     example: str = ""
     sentinel: int = 0
     infinite: int = 0
+    no_rotation: int = 0
 
 
 def group_values(table: Table, name: str, group: Group, rows: int, counts: Counts) -> Array:
@@ -78,6 +82,12 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         outside = (values < low) | (values > high)
         counts.sentinel += int(np.count_nonzero(outside.any(axis=1)))
         values[outside] = np.nan
+    if name == QUATERNION:
+        norm = np.linalg.norm(values, axis=1)
+        usual = float(np.median(norm[np.isfinite(norm)])) if np.isfinite(norm).any() else np.nan
+        bad = np.abs(norm - usual) > OTHER_NORM * usual
+        counts.no_rotation += int(np.count_nonzero(bad))
+        values[bad] = np.nan
     known = groups()
     if group.invalid_together and not (name in known and known[name].independent):
         values[np.isnan(values[:, measured]).any(axis=1)] = np.nan

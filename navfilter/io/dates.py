@@ -141,7 +141,8 @@ def is_clock_face(numbers: Array) -> bool:
         return False
     over = np.floor(numbers[1:] / 100.0) - np.floor(numbers[:-1] / 100.0) == 1.0
     usual = float(np.median(step))
-    return 0.0 < usual < 10.0 and bool((np.abs(step[over] - 40.0 - usual) < 3.0 * usual).any())
+    passed = np.r_[step[over] - 40.0, step[step < 0.0] + 235960.0]  # a minute, and midnight
+    return 0.0 < usual < 10.0 and bool((np.abs(passed - usual) < 3.0 * usual).any())
 
 
 def _are_faces(numbers: Array) -> bool:

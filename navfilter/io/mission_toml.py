@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
-from navfilter.io.columns import Counts, Times, clock_times, group_names, group_values
+from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
 from navfilter.io.contents import SD, driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
@@ -40,7 +40,6 @@ Bool = npt.NDArray[np.bool_]
 
 #: More than a month at 100 Hz.
 _MOST_ROWS = 3e8
-QUATERNION = "quaternion"
 #: What a note says of a stream, behind its name, that the mission.toml says was not measured.
 STANDS_IN = "stands in for what was not measured"
 DAY_S = 86400.0
@@ -273,6 +272,7 @@ class _Reader:
         self._note(where, counts.unreadable, f"cells without a number taken as missing{example}")
         self._note(where, counts.sentinel, "rows marked invalid by their value")
         self._note(where, counts.infinite, "infinite values taken as missing")
+        self._note(where, counts.no_rotation, "quaternions of another length than the others taken as missing")
         if SD in parts:
             unknown = parts[SD] <= 0.0
             parts[SD][unknown] = np.nan
@@ -310,7 +310,8 @@ class _Reader:
             )
             more = f" and {count - MOST_RUNS} more" if count > MOST_RUNS else ""
             if source.run is None:
-                cure = f"Its clock was set, or it was started again. Take one of them: run = 1 to {count} beside file"
+                cure = "Its clock was set, it was started again, or its parts stand in another order (sort them). Take"
+                cure += f" one of them: run = 1 to {count} beside file"
             else:
                 cure = f"There is no run = {source.run}"
             raise RunsError(f"{where}: {count} runs behind one another: {which}{more}. {cure}.")

@@ -9,9 +9,11 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import itertools
 import re
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,7 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (code
 _LOOKED_AT = 200
 _WITH_COMMA = re.compile(r"[-+]?(?:\d+|\d{1,3}(?:\.\d{3})+)?,\d+(?:[eE][-+]?\d+)?")
 _WITH_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
+_LINE_WITH_COMMA = re.compile(rb"^[^\n,]*,[^\n]*", re.MULTILINE)
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+")
 #: Rows with fewer fields than the header are cut ones where they are so few; else the logger leaves out empty ones.
 _CUT = 0.01
@@ -97,10 +100,21 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
         reason = str(error).splitlines()[0] if str(error) and place.quoted else type(error).__name__
         raise MissionError(f"{place.shown} cannot be read as a table: {reason}.") from None
     if skipped := sum(str(warning.message).count("Skipping line") for warning in told):
+        if skipped > 1 + _CUT * len(frame):
+            raise MissionError(
+                f"{place.shown}: {skipped} of {skipped + len(frame)} rows have more fields than the first, {width}. "
+                "Two tables behind one another, or two delimiters? Take them apart, or write the names: header = [..]."
+            )
         notes.append(counted(skipped, "rows with too many fields skipped"))
     if cut := _cut_rows(frame, rows, begin, delimiter, bare):
         frame = frame.drop(index=cut)
         notes.append(counted(len(cut), "rows with fewer fields than columns left out: cut short"))
+    if has_header:
+        frame = _without_names(place, frame, names[:bare], notes)
+    if decimal == ",":
+        # pandas leaves a column alone in which a cell is text
+        for name in _texts(frame, names):
+            frame[name] = frame[name].map(lambda cell: _pointed(cell) if isinstance(cell, str) else cell)
     columns = {name: frame[name].to_numpy() for name in names}
     while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
         columns.popitem()
@@ -128,6 +142,7 @@ def _text(place: Place, data: bytes, notes: list[str]) -> bytes:
             data.decode()
         except UnicodeDecodeError:  # of an older system of the West: a degree sign is one byte
             data = data.decode("cp1252", errors="replace").encode()
+    data = data.replace(codecs.BOM_UTF8, b"")  # also in the middle, where files were joined
     if b"\0" not in data:
         return data
     # each run ends a row: what follows was written after the next start
@@ -206,6 +221,32 @@ def _without_comments(rows: io.BytesIO, delimiter: str, width: int, comment: str
     return "\n".join(kept).encode()
 
 
+def _texts(frame: Any, names: list[str]) -> list[str]:
+    """Columns in which a cell is text."""
+    return [name for name in names if frame[name].dtype.kind not in "fiub"]
+
+
+def _without_names(place: Place, frame: Any, names: list[str], notes: list[str]) -> Any:
+    """The rows but for those that repeat the names of the columns, as where two files were joined. Other names there
+    are refused: what is behind them are other columns.
+    """
+    texts = _texts(frame, names)
+    if len(texts) < len(names) or len(names) < 2:
+        return frame
+    cells = [frame[column].astype(str).str.strip() for column in texts]
+    again = np.logical_and.reduce([one.isin(names).to_numpy() for one in cells])
+    for row in np.flatnonzero(again).tolist():
+        if (found := [str(one.iloc[row]) for one in cells]) != names:
+            shown = f": {', '.join(found)}" if place.quoted else ""
+            raise MissionError(
+                f"{place.shown}: row {row + 1} has the names of the columns again, in another order{shown}. These are "
+                "two tables behind one another: take them apart."
+            )
+    if again.any():
+        notes.append(counted(int(again.sum()), "rows with the names of the columns again left out"))
+    return frame[~again]
+
+
 def _cut_rows(frame: object, rows: io.BytesIO, begin: int, delimiter: str, width: int) -> list[int]:
     """Rows that end before their last column, where they are few: the number at their end may be cut too."""
     import pandas as pd
@@ -265,17 +306,27 @@ def delimiter_of(line: str, decimal: str | None = None, after: str = "") -> str:
 
 
 def _decimal(rows: io.BytesIO, delimiter: str) -> tuple[str, str | None]:
-    """Decimal sign and sign between thousands, as the first rows have them: a comma where numbers have no point."""
+    """Decimal sign and sign between thousands, as the first rows have them, and the first with a comma: a comma where
+    numbers have no point.
+    """
     at, cells = rows.tell(), list[str]()
     for _ in range(_LOOKED_AT):
         if not (record := _record(rows)):
             break
         cells += [cell.strip() for cell in fields_of(record, delimiter)]
+    later = _LINE_WITH_COMMA.finditer(rows.getvalue(), rows.tell()) if delimiter != "," else iter(())
     rows.seek(at)
+    for line in itertools.islice(later, _LOOKED_AT):
+        cells += [cell.strip() for cell in fields_of(line[0].decode(errors="replace"), delimiter)]
     with_comma = [cell for cell in cells if _WITH_COMMA.fullmatch(cell)]
     if not with_comma or any(map(_WITH_POINT.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma)):
         return ".", None
     return ",", "." if any("." in cell for cell in with_comma) else None
+
+
+def _pointed(cell: str) -> str:
+    """A number with a decimal comma as one with a point; other text as it is."""
+    return cell.replace(".", "").replace(",", ".") if _WITH_COMMA.fullmatch(cell.strip()) else cell
 
 
 def _is_number(field_text: str) -> bool:

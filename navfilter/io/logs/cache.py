@@ -116,4 +116,7 @@ def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted, tall
         there = ", ".join(wanted.seen) or "none"
         why = "; ".join(counted(count, reason) for reason, count in tally.items() if count)
         left_out = f" Left out while reading: {why}." if why else ""
-        raise MissionError(f'{path}: there is no topic "{name}" with any record (topics: {there}).{left_out}')
+        what = f"is no record (topics: {there})"
+        if any(name in wanted.asked_as(topic) for topic in wanted.seen):
+            what = "are records, and none can be read"
+        raise MissionError(f'{path}: of the topic "{name}" there {what}.{left_out}')

@@ -38,13 +38,14 @@ __all__ = ["TABLE", "survey_table"]
 
 Array = npt.NDArray[np.float64]
 
-TABLE = Format("a table", "table", (".csv", ".txt", ".dat", ".tsv", ".log", ".asc"))
+TABLE = Format("a table", "guessed_columns", (".csv", ".txt", ".dat", ".tsv", ".log", ".asc"))
 #: Quantity -> what its column may be called, in lower case and without its unit.
 _NAMES = {
     "date": r"date|datum|utc_?date|dat",
     "time": r"t|(?:utc_?|gps_?|date_?|unix_?|log_?)?time|time_?stamp|zeit|utc|unix|epoch|seconds?|secs?|t_?utc|elapsed",
-    "latitude": r"(?:gps|gnss|nav|m)?[_ ]?lat(?:itud\w*|itudine)?",
-    "longitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:lon|lng|long)(?:gitud\w*|gitudine)?",
+    "latitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:lat(?:itud\w*|itudine)?|(?:geo\w*_)?breite(?:ngrad)?)",
+    "longitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:(?:lon|lng|long)(?:gitud\w*|gitudine)?"
+    r"|(?:geo\w*_)?l(?:ä|ae)nge(?:ngrad)?)",
     "height": r"(?:gps|gnss)?[_ ]?(?:height|alt(?:itude)?|elevation|ele|h|hae|hell)",
     "roll": r"(?:m_)?(?:roll|heel|phi)(?:_?angle)?",
     "pitch": r"(?:m_)?(?:pitch|trim|theta)(?:_?angle)?",

@@ -4,34 +4,52 @@ from __future__ import annotations
 
 import datetime
 import re
+from collections import Counter
 
 __all__ = ["LoggerClock"]
 
 _DAY_S = 86400.0
 #: Seconds since 1970 of 2001 and 2100: a number in between is a time, in s, ms, us or ns.
 _EPOCHS = (1e9, 4.1e9)
-_DATE = re.compile(
-    rb"(\d{4})[-/](\d\d)[-/](\d\d)[ T_](\d\d):(\d\d):(\d\d(?:[.,]\d+)?)\s*(Z|UTC|GMT|[-+]\d\d(?::?\d\d)?(?![\d:]))?"
-)
+_TIME = rb"(?P<h>\d\d):?(?P<m>\d\d):?(?P<s>\d\d(?:[.,]\d+)?)(?![\d:])"
+_ZONE = rb"\s*(?P<half>[AaPp]\.?[Mm]\b)?\s*(?P<zone>[-+]\d\d(?::?\d\d)?(?![\d:])|[A-Z]{1,3}[DES]T\b|Z|UTC|GMT)?"
+_WITH_DOTS = rb"(?P<day2>\d\d)[.](?P<month2>\d\d)[.](?P<year2>\d{4})"
+_YEAR_FIRST = rb"(?P<year>\d{4})[-/.]?(?P<month>\d\d)[-/.]?(?P<day>\d\d)"
+_DATE = re.compile(rb"(?<!\d)(?:" + _YEAR_FIRST + rb"|" + _WITH_DOTS + rb")[ T_,;\t]*" + _TIME + _ZONE)
 _EPOCH = re.compile(rb"(?:^|[^\d.])(\d{9,10}(?:\.\d+)?|\d{13}|\d{16}|\d{19})(?![\d.])")
-_OF_DAY = re.compile(
-    rb"(?:^|[^\d:])(\d\d):(\d\d):(\d\d(?:[.,]\d+)?)(?![\d:])\s*([AaPp])?\.?(?:[Mm]\b)?\s*([-+]\d\d:?\d\d)?"
+_OF_DAY = re.compile(rb"(?:^|[^\d:])" + _TIME.replace(b":?", b":") + _ZONE)
+#: Numbers before a time of day that may be a date of another order.
+_OTHER_DATE = re.compile(rb"\d{1,2}[-/. ](?:\d{1,2}|[A-Za-z]{3})[-/. ]\d{2,4}")
+#: A clock of twelve hours that begins anew goes on within this [s].
+_GOES_ON_S = 3600.0
+_UNREAD_DATE = (
+    "stamps of the logger with a date that is not year, month, day: only their time of day counts; the day is that of "
+    "the mission (date)"
 )
 
 
 class LoggerClock:
-    """Reads the stamps of one log; a time of day goes on over midnight.
+    """Reads the stamps of one log; a time of day goes on over midnight, and over noon where the clock has twelve hours.
+
+    Parameters
+    ----------
+    tally : Counter
+        Gets what is in doubt.
 
     Attributes
     ----------
     of_day : bool
-        Whether a stamp had no date.
+        Whether a stamp had no date that can be read.
+    zone : str
+        A zone by its name, which is not known here; empty: none.
     """
 
-    def __init__(self) -> None:
-        self.of_day = False
+    def __init__(self, tally: Counter[str]) -> None:
+        self.of_day, self.zone = False, ""
+        self._tally = tally
         self._midnight = 0.0
         self._last: float | None = None
+        self._twelve = True
 
     def __call__(self, prefix: bytes) -> float | None:
         """Seconds since 1970, or since midnight of the first day, by what stands before a line; None where that is no
@@ -46,30 +64,45 @@ class LoggerClock:
             seconds = float(found[1]) / 10.0 ** max(len(digits) - 10, 0)
             if _EPOCHS[0] <= seconds < _EPOCHS[1]:
                 return seconds
-        return self._of_day(found) if (found := _OF_DAY.search(prefix)) else None
+        if found := _OF_DAY.search(prefix):
+            self._tally[_UNREAD_DATE] += _OTHER_DATE.search(prefix[: found.start("h")]) is not None
+            return self._of_day(found)
+        return None
 
-    @staticmethod
-    def _dated(found: re.Match[bytes]) -> float | None:
+    def _dated(self, found: re.Match[bytes]) -> float | None:
+        year, month, day = (found[key] or found[f"{key}2"] for key in ("year", "month", "day"))
         try:
-            day = datetime.date(int(found[1]), int(found[2]), int(found[3]))
+            days = datetime.date(int(year), int(month), int(day)).toordinal() - 719163
         except ValueError:
             return None
-        return _DAY_S * (day.toordinal() - 719163) + _seconds(*found.groups()[3:6]) - _zone(found[7])
+        return _DAY_S * days + self._seconds(found)
 
     def _of_day(self, found: re.Match[bytes]) -> float:
-        hour = int(found[1])
-        if found[4]:  # a clock of twelve hours
-            hour = hour % 12 + (12 if found[4].lower() == b"p" else 0)
-        time_s = self._midnight + _seconds(b"%d" % hour, found[2], found[3]) - _zone(found[5])
-        if self._last is not None and time_s < self._last - 0.5 * _DAY_S:
+        self._twelve = self._twelve and 1 <= int(found["h"]) <= 12 and not found["half"]
+        time_s = self._midnight + self._seconds(found)
+        if self._last is None:
+            self._last = time_s
+        if self._twelve and -0.5 * _DAY_S <= time_s - self._last <= _GOES_ON_S - 0.5 * _DAY_S:
+            self._midnight += 0.5 * _DAY_S
+            time_s += 0.5 * _DAY_S
+            self._tally["clock of 12 hours without AM or PM before the lines, taken to begin as it reads"] = 1
+        elif time_s < self._last - 0.5 * _DAY_S:
             self._midnight += _DAY_S
             time_s += _DAY_S
-        self.of_day, self._last = True, time_s
+        elif time_s > self._last + 0.5 * _DAY_S and self._midnight >= _DAY_S:
+            time_s -= _DAY_S  # late: of before midnight
+        self.of_day, self._last = True, max(time_s, self._last)
         return time_s
 
-
-def _seconds(hour: bytes, minute: bytes, second: bytes) -> float:
-    return 3600.0 * int(hour) + 60.0 * int(minute) + float(second.replace(b",", b"."))
+    def _seconds(self, found: re.Match[bytes]) -> float:
+        """Of the day, in UTC where the zone is known."""
+        hour = int(found["h"])
+        if found["half"]:
+            hour = hour % 12 + (12 if found["half"][:1].lower() == b"p" else 0)
+        zone = found["zone"] or b""
+        if zone[-1:] == b"T" and zone != b"GMT":
+            self.zone = zone.decode()
+        return 3600.0 * hour + 60.0 * int(found["m"]) + float(found["s"].replace(b",", b".")) - _zone(zone)
 
 
 def _zone(text: bytes | None) -> float:

@@ -25,7 +25,7 @@ from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamErr
 from navfilter.io.logs.lines import lines
 from navfilter.io.logs.logger_stamps import LoggerClock
 from navfilter.io.logs.sentence_times import Carrier
-from navfilter.io.logs.topic_names import OF_DAY, Wanted
+from navfilter.io.logs.topic_names import INSTRUMENT, OF_DAY, Wanted
 from navfilter.io.trust import Allowance
 
 __all__ = ["records", "short_name"]
@@ -59,7 +59,7 @@ def short_name(topic: str) -> str:
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     clock = _look_ahead(path, wanted.allowance)
-    carrier, logger = Carrier(clock.date, tally), LoggerClock()
+    carrier, logger = Carrier(clock.date, tally), LoggerClock(tally)
     # a receiver that never had a fix is worth less than the clock of the logger
     fixed, by_logger = not clock.cold, clock.fixes == 0 and clock.cold
     for line in lines(path, tally, wanted.allowance):
@@ -92,6 +92,9 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
     yield from carrier.rest()
     if not carrier.dated if carrier.has_begun else logger.of_day:
         wanted.clock = OF_DAY
+    if logger.zone and (by_logger or not clock.has_times):
+        wanted.clock = INSTRUMENT
+        tally[f"zone of the logger's stamps, {logger.zone}, that is no number: what is read need not be UTC"] += 1
 
 
 def _is_sound(found: re.Match[bytes], tally: Counter[str], signed: bool) -> bool:
@@ -267,6 +270,7 @@ def _look_ahead(path: Path, allowance: Allowance) -> _Ahead:
     has_times, fixes, without = False, 0, False
     doubtful: datetime.date | None = None
     last_s: float | None = None
+    heard_s, midnights = -1.0, 0
     cold = False
     signed = _has_checksums(path, allowance)
     for line in lines(path, Counter(), Allowance(allowance.left)):
@@ -280,8 +284,12 @@ def _look_ahead(path: Path, allowance: Allowance) -> _Ahead:
             if fix and not fixes and last_s is not None and time_of_day is not None:
                 cold = not 0.0 <= (time_of_day - last_s) % 86400.0 <= _GOES_ON_S
             fixes += fix is True
+            if time_of_day is not None and (fix or fixes or not without):
+                midnights += heard_s > time_of_day + 0.5 * 86400.0
+                heard_s = time_of_day
             if date is not None and (fix or (fix is None and (fixes or not without))):
-                return _Ahead(date, has_times, fixes, cold, signed)
+                first = date - datetime.timedelta(days=min(midnights, date.toordinal() - 1))
+                return _Ahead(first, has_times, fixes, cold, signed)
             if fix is False and not fixes and time_of_day is not None:
                 last_s = time_of_day
                 doubtful = doubtful or date

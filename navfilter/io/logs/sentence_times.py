@@ -18,6 +18,11 @@ _SINCE_1970_S = 1e9
 _MOST_WAITING = 5000
 #: Times farther apart than this are a gap, not a cycle [s].
 _LONGEST_CYCLE_S = 30.0
+_BEFORE = "sentences before the first time left out"
+_NEVER = (
+    "sentences without any time left out (none of the file has one, and no stamp before a line is known: write it as "
+    "2026-05-01T12:59:50.5Z, or in seconds since 1970)"
+)
 
 
 class Carrier:
@@ -74,7 +79,7 @@ class Carrier:
     def wait(self, topic: str, record: Any, received: float | None) -> None:
         """A sentence without a time came."""
         if self._now is None:
-            self._tally["sentences before the first time left out"] += 1
+            self._tally[_BEFORE] += 1
             return
         self._waiting.append((topic, record, received))
         if len(self._waiting) >= _MOST_WAITING:
@@ -88,6 +93,8 @@ class Carrier:
     def rest(self) -> Iterator[tuple[str, float, Any]]:
         """Those after the last time."""
         self._settle(None)
+        if self._now is None and self._tally[_BEFORE]:
+            self._tally[_NEVER] += self._tally.pop(_BEFORE)
         if not self.dated and self._now is not None:
             self._tally["file without a date (no RMC, no ZDA): times count from midnight of its first day"] += 1
         return self.settled()
