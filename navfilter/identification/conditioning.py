@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 MAX_SAMPLES = 50_000
 LEAST_SAMPLES = 50
-#: A whole circle in degrees, radians and gon.
-CIRCLES = (360.0, 2.0 * np.pi, 400.0)
+#: A whole circle in degrees, their tenths, hundredths and minutes, in radians, gon and counts of 16 bits.
+CIRCLES = (360.0, 3600.0, 36000.0, 21600.0, 2.0 * np.pi, 400.0, 65536.0)
 #: No noise lies so many robust standard deviations off; a transmission error does.
 GROSS = 50.0
 #: A share of repeated values above this, in a series that is not coarsely quantised, means a sensor slower than its

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.display import counted
 from navfilter.io import read_mission
 from navfilter.io.axis_columns import SIZES, bare_name, found_axes
 from navfilter.io.columns import series_times
@@ -24,9 +25,13 @@ from navfilter.models.mission import MissionError, Stream
 __all__ = ["ImuColumns", "ImuRecord", "read_imu", "size_of"]
 
 Array = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
 
 _DIMENSIONS = {"gyro": "angular rate", "accel": "acceleration"}
 _SIZE_TOLERANCE = 0.25
+#: Samples that repeat others count from such a share on and from such a number; those that far apart are alike by
+#: chance; a mark lies so many robust standard deviations away (all chosen).
+_FEW, _SEVERAL, _APART, _FAR = 0.001, 5, 10, 20.0
 
 
 @dataclass(frozen=True)
@@ -285,8 +290,42 @@ def _on_a_grid(
     for name, value in axes.items():
         if value.shape != time_s.shape:
             raise MissionError(f"{source}: {name} has {value.size} values, and there are {time_s.size} times.")
+    value = np.column_stack(list(axes.values()))
+    for what, bad in (("repeat the one before on all axes: held", _held(value)), _marked(value)):
+        if bad.any():
+            notes.append(f"{counted(int(bad.sum()), 'samples')} {what}, taken as missing")
+            value[bad] = np.nan
     rows = on_a_grid("the inertial unit", time_s, np.arange(time_s.size, dtype=np.float64), rate_hz, source, notes)
     row = np.where(np.isnan(rows.value), 0.0, rows.value).astype(np.int64)
-    value = np.column_stack([np.where(np.isnan(rows.value), np.nan, x[row]) for x in axes.values()])
+    value = np.where(np.isnan(rows.value)[:, np.newaxis], np.nan, value[row])
     value[~np.isfinite(value)] = np.nan
     return ImuRecord(source, rows.rate_hz, rows.begin_s, tuple(axes), np.ascontiguousarray(value), rows.notes)
+
+
+def _held(value: Array) -> Bool:
+    """Samples that are those before on all axes, where others farther apart are not alike: coarse ones are as often."""
+    same = np.r_[False, (np.diff(value, axis=0) == 0.0).all(axis=1)]
+    apart = (value[_APART:] == value[:-_APART]).all(axis=1)
+    is_held = value.shape[1] > 1 and same.mean() > _FEW and (not apart.size or apart.mean() < 0.1 * same.mean())
+    return same if is_held else np.zeros_like(same)
+
+
+def _marked(value: Array) -> tuple[str, Bool]:
+    """Samples that read the same on all axes again and again, where no others do, or far from the others."""
+    known = np.isfinite(value).all(axis=1)
+    none = np.zeros(len(value), dtype=bool)
+    if value.shape[1] < 2 or not known.any():
+        return "", none
+    levels, counts = np.unique(value[known, 0], return_counts=True)
+    first = value[known & (value[:, 0] == levels[np.argmax(counts)])]
+    rows, often = np.unique(first, axis=0, return_counts=True)
+    mark = rows[np.argmax(often)]
+    bad = (value == mark).all(axis=1)
+    others = value[known & ~bad]
+    if bad.sum() < _SEVERAL or bad.mean() < _FEW or len(others) < _SEVERAL:
+        return "", none
+    middle = np.median(others, axis=0)
+    spread = 1.4826 * np.median(np.abs(others - middle), axis=0)
+    far = (np.abs(mark - middle) > _FAR * spread).any() and (spread > 0.0).any()
+    fine = np.unique(others[:, 0]).size > 0.5 * len(others)
+    return f"are {', '.join(f'{x:.6g}' for x in mark)}: a mark for none", bad if far or fine else none

@@ -35,6 +35,8 @@ Array = npt.NDArray[np.float64]
 BURSTY, MULTIPLES, FAR_BELOW = 0.7, 0.8, 0.3
 #: A rate that is given agrees with the stamps within this share: clocks are off by less.
 OTHER_RATE = 0.1
+#: Where samples are missing, so many steps are single ones all the same [1] (chosen).
+SINGLE = 0.05
 #: A step of so many mean ones is a gap also between bursts.
 LONG_STEP = 60.0
 
@@ -239,7 +241,7 @@ def on_a_grid(
             f"{source}: the times of {name} are {usual:.4g} s apart ({1.0 / usual:.6g} Hz), not {1.0 / rate_hz:.4g} s"
             f" ({rate_hz:g} Hz). Leave the rate out, or check the unit of the times."
         )
-    period = 1.0 / rate_hz if rate_hz else float(np.median(step))
+    period = 1.0 / rate_hz if rate_hz else _single_step(step) or float(np.median(step))
     places = np.maximum(np.round(step / period - 0.001), 1.0)
     if places.sum() > 10 * time.size:
         raise MissionError(
@@ -260,13 +262,22 @@ def _agrees(step: Array, rate_hz: float) -> bool:
     periods = step * rate_hz
     usual = float(np.median(periods))
     whole = float(np.mean(np.abs(periods - np.round(periods)) < 0.2))
-    return abs(usual - 1.0) < OTHER_RATE or (usual > 1.0 and whole > MULTIPLES)
+    single = float(np.mean(np.abs(periods - 1.0) < 0.2))
+    return abs(usual - 1.0) < OTHER_RATE or (usual > 1.0 and whole > MULTIPLES and single > SINGLE)
 
 
 def _even_step(step: Array) -> float | None:
     """Mean step of samples that were stamped in bursts; None where the stamps are those of the samples."""
     usual = step[step <= LONG_STEP * float(step.mean())]
     median, mean = float(np.median(usual)), float(usual.mean())
-    multiples = float(np.mean(np.abs(usual / median - np.round(usual / median)) < 0.2))
-    bursts = median < BURSTY * mean and (multiples < MULTIPLES or median < FAR_BELOW * mean)
+    bursts = median < BURSTY * mean and (_single_step(usual) is None or median < FAR_BELOW * mean)
     return mean if bursts else None
+
+
+def _single_step(step: Array) -> float | None:
+    """The step of which all others are multiples, as where samples are missing; None where they are not."""
+    for shortest in np.quantile(step, (0.5, SINGLE)).tolist():
+        single = float(np.median(step[step < 1.5 * shortest]))
+        if np.mean(np.abs(step / single - np.round(step / single)) < 0.2) >= MULTIPLES:
+            return single
+    return None
