@@ -1,7 +1,12 @@
 """ROS bags: the same readings from each of the three storages, DVL messages of four shapes, damage, what is missing."""
 
+import tempfile
+from pathlib import Path
+
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
 
 import navfilter as nf
 from navfilter.io.logs import Shelf
@@ -157,6 +162,66 @@ def test_three_kinds_of_dvl_message_and_their_flags(tmp_path):
         np.testing.assert_array_equal(table.raw("header.stamp"), [1_700_000_000.25, 1_700_000_001.25])
         np.testing.assert_array_equal(table.raw("log_time"), [1_700_000_001.0, 1_700_000_002.0])
         assert any("1 of 3 rows left out by where" in note for note in table.notes)
+
+
+def written(path, topic, kind, make, absent):
+    """A bag of one topic; `make(types, covariance)` gives its fields, with -1 in front where the part is absent."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    with rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(topic, kind, typestore=store)
+        for k, is_absent in enumerate(absent):
+            stamp = types["builtin_interfaces/msg/Time"](sec=1_700_000_000 + k, nanosec=0)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="body")
+            message = types[kind](header=header, **make(types, -1.0 if is_absent else 0.5))
+            writer.write(connection, 1_700_000_000_000_000_000 + k * 1_000_000_000, store.serialize_cdr(message, kind))
+
+
+def twist(types, first):
+    vector = types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
+    both = types["geometry_msgs/msg/Twist"](linear=vector, angular=vector)
+    covariance = np.r_[first, np.zeros(35)]
+    return {"twist": types["geometry_msgs/msg/TwistWithCovariance"](twist=both, covariance=covariance)}
+
+
+def pose(types, first):
+    point = types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)
+    both = types["geometry_msgs/msg/Pose"](
+        position=point, orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
+    return {"pose": types["geometry_msgs/msg/PoseWithCovariance"](pose=both, covariance=np.r_[first, np.zeros(35)])}
+
+
+def inertial(part):
+    def make(types, first):
+        vector = types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
+        fields = {"angular_velocity": vector, "linear_acceleration": vector}
+        fields["orientation"] = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        known = {f"{name}_covariance": np.r_[0.5, np.zeros(8)] for name in fields}
+        return {**fields, **known, f"{part}_covariance": np.r_[first, np.zeros(8)]}
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("kind", "make", "lost", "kept"),
+    [
+        ("sensor_msgs/msg/Imu", inertial("orientation"), "orientation.w", "angular_velocity.z"),
+        ("sensor_msgs/msg/Imu", inertial("angular_velocity"), "angular_velocity.z", "orientation.w"),
+        ("sensor_msgs/msg/Imu", inertial("linear_acceleration"), "linear_acceleration.x", "angular_velocity.x"),
+        ("geometry_msgs/msg/TwistWithCovarianceStamped", twist, "twist.twist.linear.x", "header.stamp"),
+        ("geometry_msgs/msg/PoseWithCovarianceStamped", pose, "pose.pose.orientation.w", "header.stamp"),
+    ],
+)
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(absent=st.lists(st.booleans(), min_size=2, max_size=6))
+def test_what_a_message_says_is_absent_has_no_value(tmp_path, kind, make, lost, kept, absent):
+    with tempfile.TemporaryDirectory(dir=tmp_path) as folder:
+        written(Path(folder) / "bag", "/x", kind, make, absent)
+        table = read_table(Path(folder) / "bag", TableOptions(topic="/x"))
+        np.testing.assert_array_equal(np.isnan(table.numbers(lost)[0]), absent)
+        assert np.isfinite(table.numbers(kept)[0]).all()
+        assert any(f"{sum(absent)} message" in note for note in table.notes) == any(absent)
 
 
 def test_an_old_bag_without_definitions_takes_those_beside_it(tmp_path):

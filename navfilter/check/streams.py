@@ -186,7 +186,9 @@ def _is_mark(known: Array, mark: float, column: str) -> bool:
     beside = np.searchsorted(at, np.flatnonzero(marked))
     before, after = (others[np.clip(beside - d, 0, others.size - 1)] for d in (1, 0))
     off = np.minimum(size(mark - before), size(mark - after))
-    return bool(np.median(off) > _FAR * np.quantile(size(np.diff(others)), _USUAL))
+    changes = size(np.diff(others))
+    changes = changes[changes > 0.0]  # of held readings most are none
+    return changes.size > 0 and bool(np.median(off) > _FAR * np.quantile(changes, _USUAL))
 
 
 def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:

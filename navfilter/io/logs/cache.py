@@ -116,7 +116,6 @@ def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted, tall
         there = ", ".join(wanted.seen) or "none"
         why = "; ".join(counted(count, reason) for reason, count in tally.items() if count)
         left_out = f" Left out while reading: {why}." if why else ""
-        what = f"is no record (topics: {there})"
         if any(name in wanted.asked_as(topic) for topic in wanted.seen):
-            what = "are records, and none can be read"
-        raise MissionError(f'{path}: of the topic "{name}" there {what}.{left_out}')
+            raise MissionError(f'{path}: none of the records of topic "{name}" can be used.{left_out}')
+        raise MissionError(f'{path}: there is no topic "{name}" with any record (topics: {there}).{left_out}')

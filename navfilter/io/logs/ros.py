@@ -61,7 +61,7 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         typestore, is2 = reader.typestore, reader.is2
         decode = typestore.deserialize_cdr if is2 else typestore.deserialize_ros1
         total = sum(connection.msgcount for connection in chosen)
-        with_covariance: dict[str, list[tuple[str, str]]] = {}
+        with_covariance: dict[str, list[tuple[str, str, str]]] = {}
         for connection, nanoseconds, raw in bar(_until_damage(reader, chosen, tally), path, total, "messages"):
             try:
                 message = decode(raw, connection.msgtype)
@@ -70,22 +70,36 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
                 continue
             if connection.msgtype not in with_covariance:
                 with_covariance[connection.msgtype] = _with_covariance(message)
-            for part, covariance in with_covariance[connection.msgtype]:
-                if getattr(message, covariance)[0] == -1.0:
-                    setattr(message, part, _nothing(getattr(message, part)))
+            for path_to, part, covariance in with_covariance[connection.msgtype]:
+                holder = getattr(message, path_to) if path_to else message
+                if getattr(holder, covariance)[0] == -1.0:
+                    setattr(holder, part, _nothing(getattr(holder, part)))
                     tally[f"messages of {connection.topic} without {part}, as they say (covariance -1)"] += 1
             yield connection.topic, nanoseconds * 1e-9, message
 
 
-def _with_covariance(message: Any) -> list[tuple[str, str]]:
-    """Parts of a message that have a covariance, with its name: its first element is -1 where the part is absent."""
-    names = list(getattr(message, "__dataclass_fields__", ()))
-    return [(name, f"{name}_covariance") for name in names if f"{name}_covariance" in names]
+def _with_covariance(message: Any) -> list[tuple[str, str, str]]:
+    """Parts of a message that have a covariance, with what holds them (empty: the message) and the covariance's name:
+    its first element is -1 where the part is absent.
+    """
+    names = _fields(message)
+    own = [("", name, f"{name}_covariance") for name in names if f"{name}_covariance" in names]
+    # TwistWithCovariance, PoseWithCovariance
+    return own + [
+        (name, name, "covariance") for name in names if {name, "covariance"} <= {*_fields(getattr(message, name))}
+    ]
+
+
+def _fields(part: Any) -> list[str]:
+    return list(getattr(part, "__dataclass_fields__", ()))
 
 
 def _nothing(part: Any) -> Any:
     """The same part without a value."""
-    return dataclasses.replace(part, **{field.name: math.nan for field in dataclasses.fields(part) if field.init})
+    if not dataclasses.is_dataclass(part) or isinstance(part, type):
+        return math.nan
+    values = {field.name: _nothing(getattr(part, field.name)) for field in dataclasses.fields(part) if field.init}
+    return dataclasses.replace(part, **values)
 
 
 def kinds(path: Path) -> dict[str, str]:
