@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import functools
 import re
 from collections import Counter
 
@@ -70,12 +71,10 @@ class LoggerClock:
         return None
 
     def _dated(self, found: re.Match[bytes]) -> float | None:
-        year, month, day = (found[key] or found[f"{key}2"] for key in ("year", "month", "day"))
-        try:
-            days = datetime.date(int(year), int(month), int(day)).toordinal() - 719163
-        except ValueError:
-            return None
-        return _DAY_S * days + self._seconds(found)
+        days = _days(
+            *(found.group("year", "month", "day") if found["year"] else found.group("year2", "month2", "day2"))
+        )
+        return None if days is None else _DAY_S * days + self._seconds(found)
 
     def _of_day(self, found: re.Match[bytes]) -> float:
         self._twelve = self._twelve and 1 <= int(found["h"]) <= 12 and not found["half"]
@@ -96,13 +95,22 @@ class LoggerClock:
 
     def _seconds(self, found: re.Match[bytes]) -> float:
         """Of the day, in UTC where the zone is known."""
-        hour = int(found["h"])
-        if found["half"]:
-            hour = hour % 12 + (12 if found["half"][:1].lower() == b"p" else 0)
-        zone = found["zone"] or b""
-        if zone[-1:] == b"T" and zone != b"GMT":
+        hours, minutes, seconds, half, zone = found.group("h", "m", "s", "half", "zone")
+        hour = int(hours)
+        if half:
+            hour = hour % 12 + (12 if half[:1].lower() == b"p" else 0)
+        if zone and zone[-1:] == b"T" and zone != b"GMT":
             self.zone = zone.decode()
-        return 3600.0 * hour + 60.0 * int(found["m"]) + float(found["s"].replace(b",", b".")) - _zone(zone)
+        return 3600.0 * hour + 60.0 * int(minutes) + float(seconds.replace(b",", b".")) - _zone(zone)
+
+
+@functools.lru_cache(maxsize=16)
+def _days(year: bytes, month: bytes, day: bytes) -> int | None:
+    """Days since 1970; None where there is no such day."""
+    try:
+        return datetime.date(int(year), int(month), int(day)).toordinal() - 719163
+    except ValueError:
+        return None
 
 
 def _zone(text: bytes | None) -> float:

@@ -37,6 +37,8 @@ _TIMES = {b"GGA": 1, b"RMC": 1, b"ZDA": 1, b"GNS": 1, b"GLL": 5, b"GST": 1, b"GR
 _GOES_ON_S = 60.0
 #: Modes of GNS, a letter for each system, of what was measured: not none, reckoned, typed in or simulated.
 _MEASURED = frozenset("ADFPR")
+#: Kinds of values that become columns.
+_PLAIN = (str, int, float)
 #: Sentences that are looked at for checksums.
 _LOOKED_AT = 200
 #: Fields of sentences that the library does not know, by their makers' manuals (names as there).
@@ -127,8 +129,11 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
         tally[f"{topic} cannot be read"] += 1
         return None
     # Times and dates are no columns: `log_time` holds both.
-    own = {key: value for key, value in vars(message).items() if isinstance(value, str | int | float)}
-    record = {key: None if value == "" else value for key, value in own.items() if not key.startswith("_")}
+    record = {
+        key: None if value == "" else value
+        for key, value in vars(message).items()
+        if key[0] != "_" and isinstance(value, _PLAIN)
+    }
     if short_name(topic) == "HDG":
         record |= _corrected(topic, record, tally)
     if short_name(topic) == "GNS" and not _MEASURED & set(str(record.get("posMode"))):
