@@ -14,6 +14,7 @@ from bz2 import open as bz2_open
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -61,7 +62,7 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         typestore, is2 = reader.typestore, reader.is2
         decode = typestore.deserialize_cdr if is2 else typestore.deserialize_ros1
         total = sum(connection.msgcount for connection in chosen)
-        with_covariance: dict[str, list[tuple[str, str, str]]] = {}
+        with_covariance: dict[str, list[tuple[Callable[[Any], Any], str, str]]] = {}
         for connection, nanoseconds, raw in bar(_until_damage(reader, chosen, tally), path, total, "messages"):
             try:
                 message = decode(raw, connection.msgtype)
@@ -70,24 +71,22 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
                 continue
             if connection.msgtype not in with_covariance:
                 with_covariance[connection.msgtype] = _with_covariance(message)
-            for path_to, part, covariance in with_covariance[connection.msgtype]:
-                holder = getattr(message, path_to) if path_to else message
-                if getattr(holder, covariance)[0] == -1.0:
-                    setattr(holder, part, _nothing(getattr(holder, part)))
+            for covariance, holder, part in with_covariance[connection.msgtype]:
+                if covariance(message).item(0) == -1.0:
+                    whole = getattr(message, holder) if holder else message
+                    setattr(whole, part, _nothing(getattr(whole, part)))
                     tally[f"messages of {connection.topic} without {part}, as they say (covariance -1)"] += 1
             yield connection.topic, nanoseconds * 1e-9, message
 
 
-def _with_covariance(message: Any) -> list[tuple[str, str, str]]:
-    """Parts of a message that have a covariance, with what holds them (empty: the message) and the covariance's name:
-    its first element is -1 where the part is absent.
+def _with_covariance(message: Any) -> list[tuple[Callable[[Any], Any], str, str]]:
+    """What gives a covariance, what holds the part that it belongs to (empty: the message), and the part's name: its
+    first element is -1 where the part is absent.
     """
     names = _fields(message)
-    own = [("", name, f"{name}_covariance") for name in names if f"{name}_covariance" in names]
-    # TwistWithCovariance, PoseWithCovariance
-    return own + [
-        (name, name, "covariance") for name in names if {name, "covariance"} <= {*_fields(getattr(message, name))}
-    ]
+    own = [(attrgetter(f"{name}_covariance"), "", name) for name in names if f"{name}_covariance" in names]
+    both = [name for name in names if {name, "covariance"} <= {*_fields(getattr(message, name))}]
+    return own + [(attrgetter(f"{name}.covariance"), name, name) for name in both]
 
 
 def _fields(part: Any) -> list[str]:
