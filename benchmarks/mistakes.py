@@ -17,7 +17,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 import file_mistakes
 import mistakes_library as library
 
+from navfilter import read_mission, read_vehicle
+from navfilter.check import check_mission
 from navfilter.check.finding import Finding
+from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 
 
 def mistakes(options: Options) -> list[dict[str, Any]]:
@@ -41,6 +44,30 @@ def files(options: Options) -> list[dict[str, Any]]:
     return out.rows
 
 
+def clean(options: Options) -> list[dict[str, Any]]:
+    """What `check` says of the recordings that ``tests/recordings`` has a mission.toml for, with and without their
+    vehicle.toml, and of 30 simulated missions without a mistake.
+    """
+    table = Table("mission<40 check<150")
+    places = sorted(path.parent for path in (ROOT / "tests" / "recordings").rglob("mission.toml"))
+    for place in places[: 2 if options.quick else None]:
+        mission = read_mission(place)
+        name = str(place.relative_to(ROOT / "tests" / "recordings"))
+        for words, vehicle in (("", read_vehicle(place)), (", alone", None)):
+            table.add({"mission": f"{name}{words}", "check": graver(check_mission(mission, vehicle))})
+    names = [name for name in SCENARIOS if name != "miscalibrated"]  # that one is not meant to be without a mistake
+    for k in range(2 if options.quick else 30):
+        name, seed = names[k % len(names)], 101 + k // len(names)
+        vehicle, mission = simulate_scenario(name, seed, min(SCENARIOS[name].duration_s, 600.0))
+        table.add({"mission": f"{name}, seed {seed}", "check": graver(check_mission(mission, vehicle))})
+    return table.rows
+
+
+def graver(findings: tuple[Finding, ...]) -> str:
+    """The gravest finding that is worth more than knowing."""
+    return first(tuple(f for f in findings if f.severity != "info"))
+
+
 def first(findings: tuple[Finding, ...]) -> str:
     """The gravest finding, and how many more there are."""
     if not findings:
@@ -59,4 +86,4 @@ def said(told: library.Told) -> str:
 
 
 if __name__ == "__main__":
-    main(__doc__, {mistakes: [quick("two mistakes")], files: [quick("three files")]})
+    main(__doc__, {mistakes: [quick("two mistakes")], files: [quick("three files")], clean: [quick("four")]})

@@ -6,6 +6,7 @@ import csv
 import datetime
 import io
 import math
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,17 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import navfilter as nf
+from navfilter.check.streams import stream_findings
 from navfilter.io import dates
+from navfilter.io.columns import since_1970
+from navfilter.io.inertial import _held, _marked
+from navfilter.io.logs.logger_stamps import LoggerClock
+from navfilter.io.series import on_a_grid
 from navfilter.io.stamps import continued, runs_of, strays
 from navfilter.io.stream_joining import block_mean, circular_mean, mean, resampled
 from navfilter.io.tables import read_table
 from navfilter.io.units import angles
+from navfilter.models.mission import MissionError
 
 QUICK = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 ANGLE = st.floats(-20.0, 20.0)
@@ -188,6 +195,156 @@ def test_late_packets_are_no_second_run_and_no_mistake(count, data):
     order.insert(packet + data.draw(st.integers(1, 15)), packet)
     time_s = 0.1 * np.array(order, dtype=float)
     assert len(runs_of(time_s).rows) == 1 and not strays(time_s).any()
+
+
+@QUICK
+@given(st.integers(6, 100), st.integers(6, 100), st.floats(0.1, 5.0), st.data())
+def test_a_clock_that_is_set_back_begins_a_run_wherever_it_lands(first, second, step, data):
+    """Before all that was written, or within it; a part that is late fills a place instead, and is none."""
+    zero = 1.7e9
+    back = data.draw(st.integers(6, first + second + 50))
+    time_s = zero + step * np.concatenate([np.arange(first), first - back + np.arange(second)])
+    assume(first - back + second <= first)
+    assert runs_of(time_s).rows == ((0, first - 1), (first, first + second - 1))
+    late = np.concatenate([np.arange(first), np.arange(first + second, first + 2 * second)])
+    whole = zero + step * np.concatenate([late, np.arange(first, first + second)])
+    assert len(runs_of(whole).rows) == 1
+
+
+DAYS = {"spreadsheets": 25569.0, "MATLAB": 719529.0, "modified Julian": 40587.0, "the Julian": 2440587.5, "1970": 0.0}
+
+
+@QUICK
+@given(st.sampled_from(list(DAYS)), st.floats(1.0e9, 2.2e9), st.floats(0.02, 60.0), st.integers(3, 40))
+def test_days_are_counted_from_where_they_say(who, begin, step, count):
+    time_s = begin + step * np.arange(count)
+    found, note = since_1970(time_s / 86400.0 + DAYS[who])
+    np.testing.assert_allclose(found * 86400.0, time_s, atol=1e-3)
+    assert (who in note) == (who != "1970")
+
+
+@QUICK
+@given(st.integers(0, 86_399), st.sampled_from([0.1, 0.5, 1.0, 2.0, 5.0]), st.integers(70, 200))
+def test_hours_minutes_and_seconds_in_one_are_known_where_a_minute_ends(begin, step, count):
+    assume(step * count > 61.0)
+    time_s = begin + step * np.arange(count)
+    of_day = time_s % 86400.0
+    faces = 1e4 * (of_day // 3600) + 1e2 * (of_day // 60 % 60) + of_day % 60.0
+    assert dates.is_clock_face(np.round(faces, 3))
+    assert not dates.is_clock_face(time_s) or (time_s % 100.0 < 60.0).all()
+
+
+# --- stamps of loggers ----------------------------------------------------------------------------------------------
+
+STAMPS = {
+    "iso": ("%Y-%m-%dT%H:%M:%SZ ", 0.0, True),
+    "blank": ("%Y-%m-%d %H:%M:%S,", 0.0, True),
+    "slashes": ("%Y/%m/%d %H:%M:%S.000 ", 0.0, True),
+    "dots": ("%d.%m.%Y %H:%M:%S ", 0.0, True),
+    "compact": ("%Y%m%dT%H%M%S ", 0.0, True),
+    "digits": ("%Y%m%d%H%M%S ", 0.0, True),
+    "tab": ("%Y-%m-%d\t%H:%M:%S\t", 0.0, True),
+    "zone": ("[%Y-%m-%d %H:%M:%S +02:00] ", 7200.0, True),
+    "zone without colon": ("%Y-%m-%dT%H:%M:%S-0330 ", -12600.0, True),
+    "AM and PM": ("%Y-%m-%d %I:%M:%S %p ", 0.0, True),
+    "seconds": ("%s.000 ", 0.0, True),
+    "milliseconds": ("%s000 ", 0.0, True),
+    "microseconds": ("(%s000000) ", 0.0, True),
+    "time of day": ("[%H:%M:%S] ", 0.0, False),
+    "time of day with AM and PM": ("%I:%M:%S %p ", 0.0, False),
+}
+
+
+@QUICK
+@given(st.sampled_from(list(STAMPS)), st.integers(1_000_000_000, 2_000_000_000), st.integers(1, 1700), st.data())
+def test_stamps_of_a_logger_go_on(name, begin, step, data):
+    """Over midnight too, and where two lines changed places."""
+    form, ahead_s, has_date = STAMPS[name]
+    order = list(range(60))
+    swapped = data.draw(st.integers(1, 58))
+    order[swapped], order[swapped + 1] = order[swapped + 1], order[swapped]
+    time_s = [begin + step * k for k in order]
+    lines = [
+        datetime.datetime.fromtimestamp(t + ahead_s, datetime.UTC).strftime(form.replace("%s", str(t))).encode()
+        for t in time_s
+    ]
+    clock = LoggerClock(Counter())
+    zero = 0.0 if has_date else 86400.0 * (begin // 86400)
+    assert [clock(line) for line in lines] == [t - zero for t in time_s]
+    assert clock.of_day != has_date and not clock.zone
+
+
+def test_a_zone_by_its_name_is_remembered():
+    tally = Counter()
+    clock = LoggerClock(tally)
+    assert clock(b"2023-05-01 14:00:00 CEST ") == 1682949600.0 and clock.zone == "CEST"
+    assert clock(b"05/01/2023 14:00:00 ") == 50400.0 and sum(tally.values()) == 1
+
+
+# --- missing samples and marks --------------------------------------------------------------------------------------
+
+
+@QUICK
+@given(st.integers(200, 600), st.floats(0.0, 0.6), st.floats(0.001, 10.0), st.integers(0, 2**32))
+def test_missing_samples_do_not_change_the_rate(count, missing, step, seed):
+    keep = np.random.default_rng(seed).random(count) >= missing
+    keep[[0, 1, -1]] = True
+    time_s = step * np.arange(count)[keep]
+    series = on_a_grid("x", time_s, np.flatnonzero(keep).astype(float), None)
+    assert series.rate_hz == pytest.approx(1.0 / step)
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(series.value)), np.flatnonzero(keep))
+    on_a_grid("x", time_s, time_s, 1.0 / step)
+    for other in (0.2, 0.5, 2.0, 3.0):
+        with pytest.raises(MissionError, match="Leave the rate out"):
+            on_a_grid("x", time_s, time_s, other / step)
+
+
+@QUICK
+@given(st.sampled_from(["held", -999.0, 0.0, 32767.0]), st.floats(0.02, 0.6), st.integers(0, 2**32))
+def test_samples_of_an_inertial_unit_that_are_none(kind, share, seed):
+    rng = np.random.default_rng(seed)
+    value = rng.standard_normal((400, 6)) + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.8])
+    bad = rng.random(400) < share
+    bad[0] = False
+    assume(bad.sum() > 5)
+    spoiled = value.copy()
+    for k in np.flatnonzero(bad).tolist():
+        spoiled[k] = spoiled[k - 1] if kind == "held" else kind
+    held, (_, marked) = _held(spoiled), _marked(spoiled)
+    np.testing.assert_array_equal(held if kind == "held" else marked, bad)
+    coarse = np.round(value)
+    assert not _held(coarse).any() and not _marked(coarse)[1].any()
+
+
+@QUICK
+@given(st.sampled_from([-1.0, 0.0, -999.0, 99.99, 32767.0]), st.integers(5, 60), st.integers(0, 2**32))
+def test_a_number_that_stands_for_no_reading_is_noticed(mark, count, seed):
+    """A depth that swings slowly by 2 m about 10 m, with noise; without the mark nothing is said."""
+    rng = np.random.default_rng(seed)
+    depth = 10.0 + 2.0 * np.sin(np.arange(300) / 20.0) + 0.05 * rng.standard_normal(300)
+    stream = nf.Stream(np.arange(300.0), depth[:, np.newaxis].copy(), ("depth_m",))
+    assert not any(f.code == "mark" for f in stream_findings("depth", stream, nf.Mission("m", {"depth": stream})))
+    stream.value[rng.permutation(300)[:count], 0] = mark
+    (found,) = (f for f in stream_findings("depth", stream, nf.Mission("m", {"depth": stream})) if f.code == "mark")
+    assert f"{count} readings of depth_m are exactly {mark:.6g}" in found.text
+
+
+@QUICK
+@given(st.lists(st.sampled_from([0.0, -1.0, -999.0, 3.0]), min_size=20, max_size=40), st.sampled_from([1.0, 32767.0]))
+def test_what_is_as_long_as_no_rotation_is_none(tmp_path, marks, length):
+    """Quaternions with four zeros, -1 or -999 here and there (1 in the list stands for a rotation)."""
+    rows = []
+    for k, mark in enumerate(marks):
+        good = [length * math.cos(0.01 * k), 0.0, 0.0, length * math.sin(0.01 * k)]
+        rows.append(good if mark == 3.0 or k % 4 else [mark] * 4)
+    lines = [f"{k},{','.join(f'{x:.6f}' for x in row)}" for k, row in enumerate(rows)]
+    (tmp_path / "q.csv").write_text("t,w,x,y,z\n" + "\n".join(lines) + "\n")
+    (tmp_path / "mission.toml").write_text(
+        '[streams.attitude]\nfile = "q.csv"\ntime = {column = "t"}\nquaternion = ["w", "x", "y", "z"]\n'
+    )
+    yaw = nf.read_mission(tmp_path).streams["attitude"].value[:, 2]
+    expected = [math.nan if k % 4 == 0 and mark != 3.0 else 0.02 * k for k, mark in enumerate(marks)]
+    np.testing.assert_allclose(yaw, expected, atol=1e-4)
 
 
 # --- dialects of CSV ------------------------------------------------------------------------------------------------

@@ -183,6 +183,9 @@ def _is_mark(known: Array, mark: float, column: str) -> bool:
     def size(step: Array) -> Array:
         return np.abs(wrapped(step) if column.endswith("_rad") else step)
 
+    visits = int(np.count_nonzero(np.diff(marked.astype(np.int8)) > 0)) + int(marked[0])
+    if visits < _SENTINELS:  # it stays there: so do sensors at rest, unless it is beyond all that they read
+        return bool(abs(mark) > _FAR * np.max(np.abs(others)))
     beside = np.searchsorted(at, np.flatnonzero(marked))
     before, after = (others[np.clip(beside - d, 0, others.size - 1)] for d in (1, 0))
     off = np.minimum(size(mark - before), size(mark - after))

@@ -306,7 +306,8 @@ def _held(value: Array) -> Bool:
     """Samples that are those before on all axes, where others farther apart are not alike: coarse ones are as often."""
     same = np.r_[False, (np.diff(value, axis=0) == 0.0).all(axis=1)]
     apart = (value[_APART:] == value[:-_APART]).all(axis=1)
-    is_held = value.shape[1] > 1 and same.mean() > _FEW and (not apart.size or apart.mean() < 0.1 * same.mean())
+    often = value.shape[1] > 1 and same.sum() >= _SEVERAL and same.mean() > _FEW
+    is_held = often and (not apart.size or apart.mean() < 0.1 * same.mean())
     return same if is_held else np.zeros_like(same)
 
 

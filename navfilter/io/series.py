@@ -259,11 +259,8 @@ def on_a_grid(
 
 def _agrees(step: Array, rate_hz: float) -> bool:
     """Whether steps are of a rate, or of one of which samples are missing."""
-    periods = step * rate_hz
-    usual = float(np.median(periods))
-    whole = float(np.mean(np.abs(periods - np.round(periods)) < 0.2))
-    single = float(np.mean(np.abs(periods - 1.0) < 0.2))
-    return abs(usual - 1.0) < OTHER_RATE or (usual > 1.0 and whole > MULTIPLES and single > SINGLE)
+    usual = _single_step(step) or float(np.median(step))
+    return abs(usual * rate_hz - 1.0) < OTHER_RATE
 
 
 def _even_step(step: Array) -> float | None:

@@ -187,9 +187,9 @@ def _begins(x: Array) -> list[int]:
         block = np.unique(x[k : k + (int(ahead[0]) if ahead.size else x.size - k)])
         again = int(np.count_nonzero((before >= block[0]) & (before <= block[-1])))
         alike = int(np.count_nonzero((block >= before.min()) & (block <= last)))
-        # a late part fills a place that was left: none is before all others
-        apart = bool(block[-1] < before.min()) and before.size >= _AGAIN
-        if block.size >= _AGAIN and (apart or again >= max(_AGAIN, 0.5 * alike)):
+        # a late part fills a place that was left: none begins before all others
+        earlier = bool(block[0] < before.min()) and before.size >= _AGAIN
+        if block.size >= _AGAIN and (earlier or again >= max(_AGAIN, 0.5 * alike)):
             found.add(k)
     return sorted(found)
 
