@@ -42,7 +42,7 @@ SCRIPTS = {
     "identify_recordings": ("statsmodels", ()),
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),
-    "mistakes": ("No other software", ("mistakes", "files")),
+    "mistakes": ("No other software", ("mistakes", "files", "clean")),
     "noise_wrong": ("no other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),
     "over_water": ("plain dead reckoning", ()),

@@ -20,7 +20,7 @@ from navfilter.check.course_fit import (
 )
 from navfilter.check.finding import Finding
 from navfilter.check.fix_clock import path_clock
-from navfilter.check.series import heading_of, unwrapped, vector
+from navfilter.check.series import heading_of, middle, unwrapped, vector
 from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import Array, Mission, Stream
@@ -135,9 +135,7 @@ def _declination(mission: Mission) -> float | None:
     places = [s for s in (*mission.streams.values(), mission.truth) if s is not None and "latitude_rad" in s.columns]
     if mission.date is None or not places:
         return None
-    latitude, longitude = (
-        float(np.degrees(np.nanmedian(places[0].column(f"{a}_rad")))) for a in ("latitude", "longitude")
-    )
+    latitude, longitude = (math.degrees(middle(places[0].column(f"{a}_rad"))) for a in ("latitude", "longitude"))
     if not abs(latitude) <= 90.0:
         return None
     return math.degrees(declination(latitude, longitude, 0.0, believable(mission.date)))

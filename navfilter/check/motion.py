@@ -13,7 +13,16 @@ from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
-from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
+from navfilter.check.series import (
+    MOST_WINDOWS,
+    correlation,
+    heading_of,
+    integral,
+    middle,
+    unwrapped,
+    vector,
+    window_edges,
+)
 from navfilter.check.shared_motion import (
     TURN_S,
     axes_findings,
@@ -32,6 +41,7 @@ from navfilter.check.vertical import (
 )
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.foundation.display import counted
+from navfilter.io.geodesy import wrapped
 from navfilter.models.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
@@ -302,7 +312,7 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
             "error", "unit", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.'
         )
         return
-    if abs(float(np.nanmedian(latitude))) > POLAR and abs(float(np.nanmedian(longitude))) < POLAR:
+    if abs(float(np.nanmedian(latitude))) > POLAR and abs(middle(longitude)) < POLAR:
         usual_deg = math.degrees(float(np.nanmedian(latitude)))
         text = f"latitudes around {usual_deg:.0f} deg: are latitude and longitude exchanged?"
         yield Finding(
@@ -313,7 +323,7 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
             f"If so, exchange the first two columns of position in [streams.{name}].",
         )
     north = np.diff(latitude) * EARTH_RADIUS_M
-    east = np.diff(longitude) * np.cos(latitude[1:]) * EARTH_RADIUS_M
+    east = wrapped(np.diff(longitude)) * np.cos(latitude[1:]) * EARTH_RADIUS_M
     step = np.diff(stream.time_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)

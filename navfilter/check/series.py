@@ -84,3 +84,8 @@ def unwrapped(time_s: Array, angle: Array) -> tuple[Array, Array]:
     """Times and continuous values of an angle, where it is known."""
     known = np.isfinite(angle)
     return time_s[known], np.unwrap(angle[known])
+
+
+def middle(values: Array) -> float:
+    """The median that is one of the values: of two at the antimeridian the mean is on the other side of the Earth."""
+    return float(np.nanquantile(values, 0.5, method="nearest"))

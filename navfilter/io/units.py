@@ -147,7 +147,7 @@ def angles(cells: Any, name: str) -> NDArray[np.float64]:
     """Numbers of a column of angles in its unit, those of ``ddmm`` (degrees and minutes in one number) in degrees.
 
     A letter for the half of the Earth gives the sign (``4530.2012N``, ``S 33 51.5``); minutes and seconds may follow
-    degrees. What is none of this, or has 60 minutes or more, is NaN.
+    degrees. What is none of this, has 60 minutes or more, or a minus before N or E, is NaN.
 
     Parameters
     ----------
@@ -171,8 +171,10 @@ def angles(cells: Any, name: str) -> NDArray[np.float64]:
         numbers = parts[["degrees", "minutes", "seconds"]].apply(pd.to_numeric, errors="coerce").to_numpy(float)
         letter = parts["before"].fillna(parts["after"]).str.upper()
         rest = np.nan_to_num(numbers[:, 1]) / 60.0 + np.nan_to_num(numbers[:, 2]) / 3600.0
+        minus, letters = parts["sign"] == "-", letter.isin(["S", "W"])
         bad = (np.nan_to_num(numbers[:, 1:]) >= 60.0).any(axis=1) | (parts["before"].notna() & parts["after"].notna())
-        south = (letter.isin(["S", "W"]) != (parts["sign"] == "-")).to_numpy()
+        bad |= (minus & letter.isin(["N", "E"])).to_numpy()  # the one says north, the other south
+        south = (letters | minus).to_numpy()
         size = np.where(bad, np.nan, numbers[:, 0])
     else:
         numbers_only = cells.astype(np.float64)

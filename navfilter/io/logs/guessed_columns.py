@@ -425,7 +425,7 @@ def _which_north(table: Table, clock: _Clock, heading: str, name: str) -> str:
     north, east = fixes
     off, count = _course_off(clock.time_s, north, east, angles(table.raw(heading), name) * UNITS[name].factor)
     day = believable(datetime.datetime.fromtimestamp(moment, datetime.UTC).date())
-    turned = declination(float(np.nanmedian(north)), float(np.nanmedian(east)), 0.0, day)
+    turned = declination(float(np.nanmedian(north)), float(np.nanquantile(east, 0.5, method="nearest")), 0.0, day)
     if count < _COURSES or abs(turned) < _APART:
         return "magnetic" if re.search(r"compass|hdg", heading.lower()) else "true"
     return "magnetic" if abs(off - turned) < abs(off) else "true"
@@ -450,6 +450,7 @@ def _moves(time_s: Array, latitude: Array, longitude: Array) -> tuple[npt.NDArra
     moved = np.r_[True, (np.diff(latitude) != 0.0) | (np.diff(longitude) != 0.0)]
     good = np.flatnonzero(moved & np.isfinite(np.column_stack([time_s, latitude, longitude])).all(axis=1))
     step_s, up, right = (x[good[2:]] - x[good[:-2]] for x in (time_s, latitude, longitude))
+    right = (right + 180.0) % 360.0 - 180.0
     metres = 111.2e3 * (up + 1j * right * math.cos(math.radians(float(np.nanmedian(latitude)))))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(metres / step_s), good[1:-1]
