@@ -68,7 +68,7 @@ def nmea(heading: str, fixes: str, field: Callable[[list[str]], float | None]) -
                 time_s = (date - _UNIX).total_seconds() + clock
             if kind == fixes and fixes == "RMC" and cells[2] == "A":
                 rows["position"].append((time_s, _ddmm(cells[3], cells[4]), _ddmm(cells[5], cells[6])))
-            elif kind == fixes and fixes == "GGA" and cells[6] not in ("", "0"):
+            elif kind == "GGA" and cells[0].endswith(fixes) and cells[6] not in ("", "0"):
                 rows["position"].append((time_s, _ddmm(cells[2], cells[3]), _ddmm(cells[4], cells[5])))
             elif kind == heading and not math.isnan(time_s):
                 value = field(cells)
@@ -386,6 +386,7 @@ DECODES: dict[str, Callable[[Path], Decode]] = {
     "logs/ardupilot/ardusub_small.tlog": mavlink,
     "logs/px4/sample_log_small.ulg": ulog,
     "logs/nmea/ugps_nmea_log.txt": _UGPS,
+    "logs/nmea/pynmeagps_pygpsdata-nmea4.log": nmea("HDT", "GNGGA", lambda cells: float(cells[1])),
     "logs/pd0/RDI_withBT.000": pd0,
     "logs/pd0/vmdas01_wh.ENX": pd0,
     "cases/beam.pd0": pd0,

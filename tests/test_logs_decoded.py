@@ -25,6 +25,7 @@ TOLD = {
     "logs/ardupilot/ardusub_small.tlog": ("2023-05-04T17:15:41", 3),
     "logs/px4/sample_log_small.ulg": ("2021-04-21T06:30:58", 0),
     "logs/nmea/ugps_nmea_log.txt": ("2023-09-01T22:56:45", 3),
+    "logs/nmea/pynmeagps_pygpsdata-nmea4.log": ("2021-03-06T10:36:07", 3),
     "logs/pd0/RDI_withBT.000": (None, 3),
     "logs/pd0/vmdas01_wh.ENX": ("2020-08-19T13:57:05", 3),
     "cases/beam.pd0": ("2022-08-19T20:14:23", 0),
@@ -38,6 +39,8 @@ TOLD = {
     "yacht-csv-1hz/auckland_log-2022Oct27.csv.xz": ("2022-10-27T00:00:00", 0),
     "yacht-csv-1hz/trieste_log1Hz20170708_1239.log.xz": ("2017-07-08T12:39:06", 0),
 }
+#: Alarms and messages alone, none with a time.
+NOTHING = ("nmea/pynmeagps_pygpsdata-maritime.log",)
 #: Largest difference that rounding makes: places of ddmm.mmmm come with ten digits, all else as it is in the file.
 APART = {
     "position": 1e-5,
@@ -73,5 +76,16 @@ def test_a_log_gives_what_it_holds(data_file, tmp_path, name):
     assert verdict["trusted"] == (code == 0) and (code != 3 or not verdict["judged"])
 
 
-def test_every_log_has_its_row():
+def test_every_log_has_its_row(data_file):
     assert TOLD.keys() == DECODES.keys()
+    root = data_file("logs")
+    files = {path for path in root.rglob("*") if path.is_file() and path.suffix not in (".md", ".yaml")}
+    files -= {root / name for name in NOTHING}
+    covered = [data_file(name) for name in DECODES]
+    assert [path for path in files if not any(path == one or one in path.parents for one in covered)] == []
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_a_log_of_nothing_that_navigates_is_refused(data_file, tmp_path, capsys, name):
+    assert main(["mission", str(data_file("logs") / name), "--init", "--out", str(tmp_path), "--quiet"]) == 2
+    assert "holds no records" in capsys.readouterr().err

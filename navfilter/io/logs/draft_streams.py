@@ -209,6 +209,7 @@ def _as_attitude(stream: Drafted) -> Drafted:
     if heading is None:
         return stream
     column = f"{{constant = 0.0}}, {{constant = 0.0}}, {json.dumps(heading['column'])}"
-    lines = (f'attitude = {{columns = [{column}], unit = "{heading["unit"]}"}}',)
+    invalid = f", invalid = {json.dumps(heading['invalid'])}" if "invalid" in heading else ""
+    lines = (f'attitude = {{columns = [{column}], unit = "{heading["unit"]}"{invalid}}}',)
     words = "; ".join(filter(None, [stream.guess, "level: there is no roll and pitch in this log"]))
     return replace(stream, lines=lines, guess=words)

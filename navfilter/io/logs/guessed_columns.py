@@ -91,12 +91,17 @@ _ENDINGS = (
 )
 #: Units by their names in lower case.
 _UNITS = {name.lower(): known for name, known in [*ALIASES.items(), *zip(UNITS, UNITS, strict=True)]}
+_UNIT_CELLS = {*_UNITS, "", "-", "utc", "gmt"}
 #: What a speed over ground may be in, and the share within which the fixes say so [1].
 _SPEEDS, _WITHIN = ("m/s", "kn", "km/h"), 0.2
 #: What fixes say of heading and speed means nothing below this speed [m/s].
 _SLOWEST_M_S = 0.5
 #: No vehicle under water is faster [m/s]: larger numbers are millimetres.
 _FASTEST_M_S = 50.0
+#: A whole circle, and what rounding makes of it [deg].
+_WHOLE_DEG = 361.0
+#: More numbers than this are no marks.
+_MOST_MARKS = 3
 #: How many readings a course needs to tell magnetic from true north, and how much they must differ [rad].
 _COURSES, _APART = 100, math.radians(3.0)
 
@@ -118,21 +123,29 @@ def survey_table(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Survey:
     MissionError
         Where the table has no names of columns, or none that is known as a time.
     """
-    skip = _lines_before_header(path)
-    table = read_table(Place(path, str(path), True, Allowance(unpacked_bytes)), TableOptions(skip_lines=skip))
+    skip, names = _layout(path)
+    options = TableOptions(skip_lines=skip, header=names if names else None)
+    table = read_table(Place(path, str(path), True, Allowance(unpacked_bytes)), options)
     clock = _clock(table)
     topic = Topic("", "", clock.time_s.size, clock.time_s[np.isfinite(clock.time_s)], dict(table.columns), {})
-    layout = (f"skip_lines = {skip}",) if skip else ()
+    layout: tuple[str, ...] = (f"skip_lines = {skip}",) if skip else ()
+    layout += (f"header = {json.dumps(names, ensure_ascii=False)}",) if names else ()
     uses = tuple((topic, use) for use in _uses(table, clock))
     return Survey(path, TABLE, (topic,), table.notes, unpacked_bytes, "", layout, clock.line, uses, clock.guess)
 
 
-def _lines_before_header(path: Path) -> int:
-    """Lines before the names: these have as many fields as the line behind them, and that has numbers."""
+def _layout(path: Path) -> tuple[int, tuple[str, ...]]:
+    """Lines before the names, which have as many fields as the line behind them, and that has numbers; and the names,
+    where the reader does not find them so: of a line of comment, or with their units from a line of its own.
+    """
     rows = first_lines(path)
+    found: list[tuple[int, tuple[str, ...]]] = []
     for number, (line, after) in enumerate(itertools.pairwise(rows)):
-        delimiter = delimiter_of(line)
-        names, cells = (fields_of(text.strip("\r\n"), delimiter) for text in (line, after))
+        bare = line.strip("\r\n\ufeff")
+        comment = bare[:1] in ("#", "%")
+        bare = bare.lstrip("#% ") if comment else bare
+        delimiter = delimiter_of(bare, None, after.strip())
+        names, cells = ([cell.strip() for cell in fields_of(text.strip(), delimiter)] for text in (bare, after))
         numeric = sum(_is_value(cell) for cell in cells)
         if (
             len(names) > 1
@@ -140,7 +153,18 @@ def _lines_before_header(path: Path) -> int:
             and abs(len(cells) - len(names)) <= 1
             and 2 * numeric >= len(names)
         ):
-            return number
+            above = fields_of(rows[number - 1].strip("\r\n\ufeff "), delimiter) if number else []
+            if len(above) == len(names) and all(cell.strip("[]() ").lower() in _UNIT_CELLS for cell in names):
+                units = (f" [{cell.strip('[]() ')}]" if cell.strip("[]()- ") else "" for cell in names)
+                found.append((number + 1, tuple(a.strip() + b for a, b in zip(above, units, strict=True))))
+            else:
+                found.append((number + 1, tuple(names)) if comment else (number, ()))
+            if any(
+                re.fullmatch(f"{_NAMES['time']}|{_NAMES['date']}", _bare(name)[0]) for name in found[-1][1] or names
+            ):
+                return found[-1]
+    if found:
+        return found[0]
     raise MissionError(
         f"{path}: no line of names with a row of numbers behind it among the first {len(rows)}: nothing to guess from. "
         "Write a mission.toml by hand (docs/pages/mission-toml.md)."
@@ -148,7 +172,7 @@ def _lines_before_header(path: Path) -> int:
 
 
 def _is_value(cell: str) -> bool:
-    return re.fullmatch(r"\s*[-+]?[\d.,:/\-T ]*\d[\d.,:/\-eET ]*[NSEWZ]?\s*", cell) is not None
+    return re.fullmatch(r"\s*[-+]?[\d.,:/\-T ]*\d[\d.,:/\-eET °'\"′″]*[NSEWZ]?\s*", cell) is not None
 
 
 def _named(table: Table, quantity: str, *others: str) -> tuple[str, str] | None:
@@ -259,14 +283,17 @@ def _headings(table: Table, clock: _Clock) -> Iterator[Use]:
     north = _which_north(table, clock, heading[0], name)
     roll, pitch = _named(table, "roll"), _named(table, "pitch")
     words = f"{heading[0]} in {name}, from {north} north"
+    marks = _marks(table, heading[0], 360.0) if name == "deg" else []
+    invalid = f", invalid = {json.dumps(marks)}" if marks else ""
+    words += f"; {', '.join(f'{mark:g}' for mark in marks)} for no reading" if marks else ""
     prefix = "magnetic" if north == "magnetic" else ""
     if roll and pitch:
         units = json.dumps([one[1] or name for one in (roll, pitch, heading)])  # small tilts do not tell
         columns = json.dumps([one[0] for one in (roll, pitch, heading)])
         tilt = f"{roll[0]} and {pitch[0]} positive to starboard and bow up"
-        line = f"attitude = {{columns = {columns}, unit = {units}}}"
+        line = f"attitude = {{columns = {columns}, unit = {units}{invalid}}}"
         yield _use(f"{prefix}-attitude".lstrip("-"), (line,), (heading[0],), f"{words}; {tilt}")
-    line = f'heading = {{column = {json.dumps(heading[0])}, unit = "{name}"}}'
+    line = f'heading = {{column = {json.dumps(heading[0])}, unit = "{name}"{invalid}}}'
     yield _use(prefix or "heading", (line,), (heading[0],), words)
 
 
@@ -323,8 +350,28 @@ def _position(table: Table, _: _Clock) -> Iterator[Use]:
     if height is not None and np.isfinite(table.numbers(height[0])[0]).any():
         columns, units = [*columns, json.dumps(height[0])], [*names, height[1] or "m"]
         words += f"; {height[0]}: its height"
-    line = f"position = {{columns = [{', '.join(columns)}], unit = {json.dumps(units)}, invalid_together = false}}"
+    marks = [_marks(table, one[0], most) for one, most in ((latitude, 90.0), (longitude, 360.0)) if names[0] == "deg"]
+    degrees = [table.numbers(one[0])[0] for one in (latitude, longitude)]
+    nowhere = (degrees[0] == 0.0) & (degrees[1] == 0.0)
+    invalid = sorted(
+        {mark for some in marks for mark in some} | ({0.0} if nowhere.any() and not nowhere.all() else set())
+    )
+    said = f", invalid = {json.dumps(invalid)}" if invalid else ""
+    words += f"; {', '.join(f'{mark:g}' for mark in invalid)} for no fix" if invalid else ""
+    line = (
+        f"position = {{columns = [{', '.join(columns)}], unit = {json.dumps(units)}{said}, invalid_together = false}}"
+    )
     yield _use("position", (line,), (latitude[0], longitude[0]), words)
+
+
+def _marks(table: Table, name: str, most: float) -> list[float]:
+    """Numbers that stand for no reading: beyond what an angle may be [deg], or -1 where no other is below zero."""
+    values = table.numbers(name)[0]
+    levels = np.unique(values[np.isfinite(values)])
+    beyond = levels[np.abs(levels) > most].tolist()
+    rest = levels[np.abs(levels) <= most]
+    lone = [-1.0] if rest.size > 2 and rest[0] == -1.0 and rest[1] >= 0.0 and np.sum(values == -1.0) > 1 else []
+    return [*beyond, *lone] if 0 < len(beyond) + len(lone) <= _MOST_MARKS else []
 
 
 def _over_ground(table: Table, clock: _Clock) -> Iterator[Use]:
@@ -373,8 +420,10 @@ def _unit_of_speed(table: Table, clock: _Clock, name: str, stated: str) -> tuple
 def _unit_of_angle(table: Table, name: str, stated: str) -> str:
     if stated and UNITS[stated].dimension == "angle":
         return stated
-    largest = float(np.nanmax(np.abs(table.numbers(name)[0]), initial=0.0))
-    sizes = (("rad", 2.0 * math.pi + 0.01), ("deg", 361.0), ("", 3610.0), ("cdeg", 36100.0))
+    angle = np.abs(table.numbers(name)[0])
+    usual = angle[angle <= _WHOLE_DEG]  # others are marks for no reading where they are the fewer
+    largest = float(np.nanmax(usual if 2 * usual.size > np.isfinite(angle).sum() else angle, initial=0.0))
+    sizes = (("rad", 2.0 * math.pi + 0.01), ("deg", _WHOLE_DEG), ("", 3610.0), ("cdeg", 36100.0))
     return next((unit for unit, most in sizes if largest <= most), "")
 
 
