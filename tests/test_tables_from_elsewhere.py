@@ -10,6 +10,7 @@ import pytest
 import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.commands.cli import main
+from navfilter.io.logs.draft import draft, survey_of
 from navfilter.io.series import read_series
 from navfilter.models.mission import MissionError
 
@@ -207,6 +208,57 @@ def test_units_behind_names(tmp_path):
     mission = drafted(tmp_path, "log.csv", table(columns))
     np.testing.assert_allclose(mission.streams["depth"].value[:, 0], DEPTH, atol=1e-9)
     np.testing.assert_allclose(np.diff(mission.streams["depth"].time_s), 1.0)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda whole: "Logger 1.2\nSerial, 123\n\n" + whole,
+        lambda whole: "# Logger\n# " + whole,
+        lambda whole: whole.replace("\n", "\nUTC,deg,deg,deg,m\n", 1),
+        lambda whole: whole.replace("\n", "\n[-],[deg],[deg],[deg],[m]\n", 1),
+    ],
+    ids=["a preamble", "names in a comment", "a row of units", "units in brackets"],
+)
+def test_where_the_names_stand(tmp_path, spoil):
+    streams = drafted(tmp_path, "log.csv", spoil(table(PLAIN))).streams
+    gps = np.degrees(streams["gps"].value[:, :2])
+    np.testing.assert_allclose(gps, np.column_stack([LATITUDE, LONGITUDE]), atol=1e-6)
+    np.testing.assert_allclose(streams["depth"].value[:, 0], DEPTH, atol=1e-4)
+
+
+def test_a_row_of_units_counts(tmp_path):
+    columns = PLAIN | {"depth": text(100.0 * DEPTH, 1), "heading": text(np.radians(HEADING), 6)}
+    mission = drafted(tmp_path, "log.csv", table(columns).replace("\n", "\n-,deg,deg,rad,cm\n", 1))
+    np.testing.assert_allclose(mission.streams["depth"].value[:, 0], DEPTH, atol=1e-3)
+    found = np.degrees(mission.streams["attitude"].value[:, 2])
+    np.testing.assert_allclose((found - HEADING + 180.0) % 360.0 - 180.0, 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(("mark", "heading_mark"), [("0", "-1"), ("-999", "-999"), ("999.9", "9999")])
+def test_marks_for_no_reading_are_guessed(tmp_path, mark, heading_mark):
+    none = K % 4 == 0
+    columns = PLAIN | {
+        key: np.where(none, mark if key != "heading" else heading_mark, PLAIN[key]).tolist()
+        for key in ("lat", "lon", "heading")
+    }
+    streams = drafted(tmp_path, "log.csv", table(columns)).streams
+    for found in (streams["gps"].value[:, 0], streams["attitude"].value[:, 2]):
+        np.testing.assert_array_equal(np.isnan(found), none)
+    np.testing.assert_allclose(np.degrees(streams["gps"].value[~none, 0]), LATITUDE[~none], atol=1e-6)
+    assert f"{float(mark):g} for no fix" in (tmp_path / "made" / "mission.toml").read_text()
+
+
+def test_all_angles_of_a_table_are_of_one_unit(tmp_path):
+    columns = {key: text(np.radians(x), 9) for key, x in (("lat", LATITUDE), ("lon", LONGITUDE), ("yaw", HEADING))}
+    gps = drafted(tmp_path, "log.csv", table({"time": PLAIN["time"]} | columns)).streams["gps"].value
+    np.testing.assert_allclose(gps[:, :2], np.radians(np.column_stack([LATITUDE, LONGITUDE])), atol=1e-8)
+
+
+def test_a_table_of_no_known_columns_is_refused(tmp_path):
+    (tmp_path / "log.csv").write_text(table({"time": text(K), "p": text(K), "q": text(K)}))
+    with pytest.raises(MissionError, match="nothing in this log can drive"):
+        draft(survey_of(tmp_path / "log.csv"), tmp_path)
 
 
 # --- NMEA -----------------------------------------------------------------------------------------------------------

@@ -340,6 +340,10 @@ def _position(table: Table, _: _Clock) -> Iterator[Use]:
     if latitude is None or longitude is None:
         return
     names = [_unit_of_place(table, one[0], one[1]) for one in (latitude, longitude)]
+    heading = _named(table, "heading")
+    small = all(np.nanmax(np.abs(table.numbers(one[0])[0]), initial=0.0) <= math.pi for one in (latitude, longitude))
+    if small and not (latitude[1] or longitude[1]) and heading and _unit_of_angle(table, *heading) == "rad":
+        names = ["rad", "rad"]  # as the other angles of the table
     whole = [_with_letter(table, latitude[0], "NS"), _with_letter(table, longitude[0], "EW")]
     columns = [json.dumps(w[0]) if len(w) == 1 else f"{{column = {json.dumps(w)}}}" for w in whole]
     units = names
@@ -421,8 +425,9 @@ def _unit_of_angle(table: Table, name: str, stated: str) -> str:
     if stated and UNITS[stated].dimension == "angle":
         return stated
     angle = np.abs(table.numbers(name)[0])
-    usual = angle[angle <= _WHOLE_DEG]  # others are marks for no reading where they are the fewer
-    largest = float(np.nanmax(usual if 2 * usual.size > np.isfinite(angle).sum() else angle, initial=0.0))
+    few = np.unique(angle[angle > _WHOLE_DEG]).size <= _MOST_MARKS  # they are marks for no reading
+    usual = angle[angle <= _WHOLE_DEG] if few and (angle <= _WHOLE_DEG).any() else angle
+    largest = float(np.nanmax(usual, initial=0.0))
     sizes = (("rad", 2.0 * math.pi + 0.01), ("deg", _WHOLE_DEG), ("", 3610.0), ("cdeg", 36100.0))
     return next((unit for unit, most in sizes if largest <= most), "")
 
