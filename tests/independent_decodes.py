@@ -405,6 +405,11 @@ DECODES: dict[str, Callable[[Path], Decode]] = {
 # --- comparison -----------------------------------------------------------------------------------------------------
 
 
+#: Readings that have the time of the one before are dropped of what drives, and sentences without a time of their own
+#: are spread otherwise over a gap: of either no more than this share [1].
+FEW = 0.02
+
+
 class Compared(NamedTuple):
     """A quantity of a mission against its decode.
 
@@ -415,7 +420,8 @@ class Compared(NamedTuple):
     missing : int
         Readings of the decode without one of the mission at their time.
     apart : float
-        Largest difference, in the unit of the decode (positions [m]).
+        Largest difference of all but `FEW` of the readings of either side from the nearest in value that the other has
+        at that time, in the unit of the decode (positions [m]).
     """
 
     readings: int
@@ -448,13 +454,19 @@ def compared(mission: Any, decode: Decode, within_s: float = 1e-4, cycle_s: floa
         own_s = own_s + (times.min() - own_s[0] if mission.epoch_utc_s is None else mission.epoch_utc_s)
         late_s = 0.0 if quantity == "position" else cycle_s
         first, last = (np.searchsorted(own_s, times + side) for side in (-within_s, late_s + within_s))
-        missing, apart = 0, 0.0
-        for value, a, b in zip(values, first, last, strict=True):
-            if a == b:
-                missing += 1
-                continue
-            # of several readings of one time it is one of them
-            apart = max(apart, float(_apart(quantity, own[a:b], value[None]).min()))
+        back = (np.searchsorted(times, own_s + side) for side in (-late_s - within_s, within_s))
+        missing = int(np.count_nonzero(first == last))
+        sides = [(values, own, first, last), (own, values, *back)]
+        # of several readings of one time it is one of them
+        there, here = (
+            [
+                _apart(quantity, others[a:b], one[None]).min()
+                for one, a, b in zip(ours, begin, end, strict=True)
+                if a < b
+            ]
+            for ours, others, begin, end in sides
+        )
+        apart = max(float(np.quantile(side, 1.0 - FEW, method="lower")) for side in (there, here))
         found[quantity] = Compared(len(own), len(times), missing, apart)
     return found
 

@@ -152,7 +152,7 @@ def test_a_second_run_behind_the_first_is_refused_or_chosen(data_file, tmp_path,
     folder = data_file("cases/appended")
     assert main(["check", str(folder)]) == 1
     said = capsys.readouterr().err
-    assert "nav.csv" in said and "rows 1002 to 2001 from 0 s to 199.8 s" in said and "run = 1 to 2" in said
+    assert "nav.csv" in said and "rows 1001 to 2000 from 0 s to 199.8 s" in said and "run = 1 to 2" in said
     text = (folder / "mission.toml").read_text()
     for run, first in ((1, 0), (2, 1)):
         own = re.sub(r'file = "(.*)"', rf'file = "{folder}/\1"\nrun = {run}', text)

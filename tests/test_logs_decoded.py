@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from independent_decodes import DECODES, HOW, compared
+from independent_decodes import DECODES, FEW, HOW, compared
 
 import navfilter as nf
 from navfilter.commands.cli import main
@@ -51,8 +51,6 @@ APART = {
     "speed": 1e-9,
     "force": 1e-6,
 }
-#: Readings that have the time of the one before are dropped of what drives; so many in a hundred are no more.
-REPEATED = 0.02
 #: An hour of sentences takes seconds to read.
 LONG = tuple(name for name in DECODES if name.startswith("yacht") or name.endswith(".tlog"))
 
@@ -69,7 +67,7 @@ def test_a_log_gives_what_it_holds(data_file, tmp_path, name):
     assert found.keys() == decode.keys(), "a quantity that the file holds is not mapped"
     for quantity, one in found.items():
         assert one.apart < APART[quantity], (quantity, one)
-        assert one.missing <= REPEATED * one.decoded and one.readings >= (1.0 - REPEATED) * one.decoded, (quantity, one)
+        assert one.missing <= FEW * one.decoded and one.readings >= (1.0 - FEW) * one.decoded, (quantity, one)
     folder, out = str(tmp_path), tmp_path / "out"
     assert main(["replay", folder, "--vehicle", folder, "--out", str(out), "--no-report", "--quiet"]) == code
     if code == 2:

@@ -18,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 from navfilter.io import VehicleError, read_mission, read_vehicle
 from navfilter.io.columns import LATEST_S
 from navfilter.io.mat5 import check_mat5
+from navfilter.io.mission_toml import RunsError
 from navfilter.io.table import TableOptions
 from navfilter.io.tables import read_table
 from navfilter.models.mission import Mission, MissionError, Stream
@@ -89,6 +90,8 @@ def test_numbers_of_any_kind_in_any_order_of_time(tmp_path, rows):
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,a,b", comments="", fmt="%.17g")
     try:
         mission = read_mission(tmp_path)
+    except RunsError:
+        return  # five rows and more that go on before all others
     except MissionError as error:
         assert one_line(error)
         assert not (np.abs(rows[:, 0]) < LATEST_S).any()

@@ -330,6 +330,24 @@ def test_a_number_that_stands_for_no_reading_is_noticed(mark, count, seed):
 
 
 @QUICK
+@given(st.sampled_from([-999.0, 9999.0, 32767.0, 655.35]), st.lists(st.booleans(), min_size=8, max_size=30))
+def test_a_heading_far_beyond_a_circle_is_none(tmp_path, mark, none):
+    """Once wrapped, nothing tells it from a heading. One that goes on over several turns stays."""
+    assume(2 * sum(none) < len(none))
+    heading = [(350.0 + 3.0 * k) % 360.0 for k in range(len(none))]
+    for cells in ([mark if bad else h for bad, h in zip(none, heading, strict=True)], np.linspace(0, 2000, len(none))):
+        (tmp_path / "h.csv").write_text("t,h\n" + "".join(f"{k},{x:.3f}\n" for k, x in enumerate(cells)))
+        (tmp_path / "mission.toml").write_text(
+            '[streams.compass]\nfile = "h.csv"\ntime = {column = "t"}\nheading = {column = "h", unit = "deg"}\n'
+        )
+        found = np.degrees(nf.read_mission(tmp_path).streams["compass"].value[:, 0])
+        missing = np.array(none) if cells[-1] != 2000.0 else np.zeros(len(none), dtype=bool)
+        np.testing.assert_array_equal(np.isnan(found), missing)
+        off = (found - np.array(cells) + 180.0) % 360.0 - 180.0
+        np.testing.assert_allclose(off[~missing], 0.0, atol=1e-3)
+
+
+@QUICK
 @given(st.lists(st.sampled_from([0.0, -1.0, -999.0, 3.0]), min_size=20, max_size=40), st.sampled_from([1.0, 32767.0]))
 def test_what_is_as_long_as_no_rotation_is_none(tmp_path, marks, length):
     """Quaternions with four zeros, -1 or -999 here and there (1 in the list stands for a rotation)."""

@@ -25,6 +25,8 @@ AXES = "xyz"
 #: In SI; what is beyond is no measurement, and its square could not be held.
 LARGEST = 1e100
 QUATERNION = "quaternion"
+#: A whole circle and what rounding makes of it [rad]; so many numbers beyond it are marks, of more an angle goes on.
+CIRCLE_RAD, MOST_MARKS = 2.0 * np.pi * (361.0 / 360.0), 3
 #: A quaternion longer or shorter than most of its column by this share is no rotation but a mark for none [1] (chosen).
 OTHER_NORM = 0.1
 #: Who counts days from elsewhere, from where, and how many days that is before 1970.
@@ -51,6 +53,7 @@ class Counts:
     sentinel: int = 0
     infinite: int = 0
     no_rotation: int = 0
+    beyond: int = 0
 
 
 def group_values(table: Table, name: str, group: Group, rows: int, counts: Counts) -> Array:
@@ -69,6 +72,10 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         if name == "position" and k < 2 and isinstance(part.column, str):
             _refuse_lost_letter(table, part.column, raws[0], "SW"[k])
         invalid[:, k] = np.logical_or.reduce([_is_sentinel(raw, group) for raw in raws])
+        if name in groups() and groups()[name].names[k] in groups()[name].circular:
+            beyond = np.logical_or.reduce([_beyond_circle(_si(raw, part, group, k, stated)) for raw in raws])
+            counts.beyond += int(np.count_nonzero(beyond))
+            invalid[:, k] |= beyond
         if len(raws) > 1 and _unit_of(part, group, k, stated).dimension == "angle":
             values[:, k] = circular_mean(np.stack([_si(raw, part, group, k, stated) for raw in raws]))
         else:
@@ -92,6 +99,14 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
     if group.invalid_together and not (name in known and known[name].independent):
         values[np.isnan(values[:, measured]).any(axis=1)] = np.nan
     return _oriented(values, name, group)
+
+
+def _beyond_circle(angle: Array) -> npt.NDArray[np.bool_]:
+    """Angles beyond a whole circle that are marks for no reading: of few numbers, where most lie within the circle."""
+    beyond: npt.NDArray[np.bool_] = np.abs(angle) > CIRCLE_RAD
+    if not beyond.any() or 2 * np.count_nonzero(beyond) > beyond.size or np.unique(angle[beyond]).size > MOST_MARKS:
+        return np.zeros_like(beyond)
+    return beyond
 
 
 def _refuse_lost_letter(table: Table, column: str, values: Array, letter: str) -> None:

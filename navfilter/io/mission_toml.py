@@ -272,6 +272,7 @@ class _Reader:
         self._note(where, counts.unreadable, f"cells without a number taken as missing{example}")
         self._note(where, counts.sentinel, "rows marked invalid by their value")
         self._note(where, counts.infinite, "infinite values taken as missing")
+        self._note(where, counts.beyond, "angles far beyond a circle, always the same, taken as missing")
         self._note(where, counts.no_rotation, "quaternions of another length than the others taken as missing")
         if SD in parts:
             unknown = parts[SD] <= 0.0
