@@ -24,7 +24,7 @@ from navfilter.report.figures import predicted_rms
 from navfilter.report.live import Live, item_of, live_stack, plain, toolbox
 from navfilter.report.live_plan import COLOURINGS, live_plan
 from navfilter.report.plan_view import Plan, draw_plan
-from navfilter.report.state_figures import shown_states
+from navfilter.report.state_figures import drive_residuals, shown_states
 from navfilter.track.track import Track
 
 __all__ = ["Instrument"]
@@ -156,6 +156,11 @@ def _rows(clock: Clock, track: Track, origin: Track) -> tuple[dict[str, list[flo
     columns |= {f"state {n}": (f"{n} [{unit}]", v, 9) for n, unit, v in _states(track, rows)}
     columns |= {
         f"innovation {n}": (f"innovation of {n} [sd]", v, 3) for n, v in _innovations(track, track.time_s[rows])
+    }
+    columns |= {
+        f"residual {owner} {axis}": (f"residual of {owner} {axis} [sd]", (step / sd)[rows], 3)
+        for owner, axes in drive_residuals(track).items()
+        for axis, step, sd, _ in axes
     }
     found = {key: np.round(values, digits).tolist() for key, (_, values, digits) in columns.items()}
     plain_rows = {key: [None if value != value else value for value in values] for key, values in found.items()}
