@@ -220,6 +220,7 @@ def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
     monkeypatch.setattr("navfilter.playback.warm_up.warm_up", lambda vehicle, smoother: None)
     monkeypatch.setattr(progress, "show_compilation", lambda: None)
+    monkeypatch.setattr(progress, "expect", lambda most: None)
     monkeypatch.setattr(progress, "SHIPPED", [])
     processor = cpu_target.target_context.codegen().magic_tuple()
     for of in ("another", processor):
