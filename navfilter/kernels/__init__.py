@@ -41,14 +41,14 @@ def _kept_or_shipped(load: Callable[..., Any]) -> Callable[..., Any]:
         found = load(self, sig, target_context)
         if found is not None or not self._py_func.__module__.startswith(f"{__name__}."):
             return found
-        own = self._cache_file
+        kept = self._cache_file
         for folder in SHIPPED:
             if folder != Path(self.cache_path):
-                self._cache_file = IndexDataCacheFile(str(folder), self._impl.filename_base, own._source_stamp)
+                self._cache_file = IndexDataCacheFile(str(folder), self._impl.filename_base, kept._source_stamp)
                 try:
                     found = load(self, sig, target_context)
                 finally:
-                    self._cache_file = own
+                    self._cache_file = kept
         return found
 
     return loaded

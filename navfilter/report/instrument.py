@@ -175,12 +175,13 @@ def _states(track: Track, rows: NDArray[np.int64]) -> Iterator[tuple[str, str, N
 
 
 def _innovations(track: Track, time_s: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Of each axis of each sensor, the latest reading at these times, in units of what was predicted."""
+    """Of each axis of each sensor, the latest reading used at these times, in units of what was predicted."""
     for name, r in track.residuals.items():
         if name not in track.vehicle.sensors or not len(r.time_s):
             continue
         for axis, title in enumerate(track.vehicle.sensors[name].axis_names):
-            good = np.flatnonzero(np.isfinite(r.value[:, axis]) & (r.sd[:, axis] > 0.0) & np.isfinite(r.sd[:, axis]))
+            known = np.isfinite(r.value[:, axis]) & (r.sd[:, axis] > 0.0) & np.isfinite(r.sd[:, axis])
+            good = np.flatnonzero(known & r.used)
             if not good.size:
                 continue
             last = np.searchsorted(r.time_s[good], time_s, side="right") - 1
