@@ -360,7 +360,6 @@ STAMPS = {
     "go backwards": lambda t: 40.0 - t,
     "creep backwards": lambda t: 20.0 - 0.01 * (t - 20.0),
     "go round": lambda t: 20.0 + t % 0.2,
-    "creep": lambda t: 20.0 + 1e-9 * (t - 20.0),
     "crawl": lambda t: 20.0 + 0.01 * (t - 20.0),
 }
 

@@ -94,9 +94,9 @@ class Session:
     AHEAD = 3
     #: No vehicle is faster or farther from the surface: such a state is none.
     FASTEST_M_S, HIGHEST_M = 3000.0, 100e3
-    #: So many seconds of the drive's samples, and so many at least, that bring time no further are no state to trust, or
-    #: less far than by this share of them: a rate that is described ten times too high is told otherwise. A clock that
-    #: was set back is found within a quarter of a second, one in doubt within one.
+    #: So many seconds of the drive's samples, and so many at least, that bring time no further are no state to trust,
+    #: nor are those that bring it less far than by this share of them: a rate that is described ten times too high is
+    #: told otherwise. A clock that was set back is found within a quarter of a second, one in doubt within one.
     STALLED_S, STALLED, SLOWEST = 2.0, 20, 0.05
     #: So is a state that readings are so far ahead of [s]; an inertial unit that is silent is stood in for by then.
     BEHIND_S = ImuIntake.SILENT_S + 1.0
