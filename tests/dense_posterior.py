@@ -204,7 +204,7 @@ class Capture:
         result = {}
         smooth_rows(
             self.tape,
-            lambda begin, states, means, covs: result.update(
+            lambda begin, states, means, covs, _: result.update(
                 zip(self.tape.row_records[begin : begin + len(states)], zip(means, covs, strict=True), strict=True)
             ),
         )

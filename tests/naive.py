@@ -1090,7 +1090,17 @@ def smooth_row(P, L, lam, mean, cov, T):
     mean[:], cov[:] = -P @ lam, P - P @ L @ P
 
 
-def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, T, U):
+def drive_step(L, lam, nav, first, out):
+    C = nav[6:15].reshape(3, 3)
+    for k in range(out.shape[1]):
+        at = first if k < 3 else 6
+        e = np.zeros(len(lam))
+        e[at : at + 3] = C[:, k % 3]
+        told = e @ L @ e
+        out[:, k] = (e @ lam / told, told**-0.5) if told > 0.0 else np.nan
+
+
+def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, carried, steps, T, U):
     n = len(lam)
     for after in range(index, until - 1, -1):
         for q in np.flatnonzero(holds == after):
@@ -1098,6 +1108,7 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
             P[np.tril_indices(n)] = rows[firsts[q] + 8 + n :][: n * (n + 1) // 2]
             P += np.tril(P, -1).T
             smooth_row(P, L, lam, means[q], covs[q], None)
+            drive_step(L, lam, rows[firsts[q] :], carried, steps[q])
         if after > until:
             smooth_record(L, lam, records[begins[after - 1] :], *heads[after - 1], None)
 

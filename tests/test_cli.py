@@ -1,17 +1,20 @@
 """The command line: what it writes, what it says, how it ends."""
 
 import json
+import pickle
 import subprocess
 import sys
 
 import numba
 import pytest
+from numba.core.registry import cpu_target
 
 from navfilter.commands import cli
 from navfilter.commands.cli import main
 from navfilter.commands.replay import NOT_JUDGED
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.kernels.compiling import progress
+from navfilter.kernels.compiling.decorators import checksum
 
 HANGS_S = 600.0  # far beyond what a command takes here
 COMMANDS = ("demo", "replay", "run", "compare", "learn", "montecarlo", "identify", "simulate", "check", "vehicle")
@@ -217,10 +220,15 @@ def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
     monkeypatch.setattr("navfilter.playback.warm_up.warm_up", lambda vehicle, smoother: None)
     monkeypatch.setattr(progress, "show_compilation", lambda: None)
-    assert main(["warmup"]) == 0
-    assert "compiling" in capsys.readouterr().err
-    for name in ("strapdown", "kalman", "measurement"):
-        (tmp_path / f"{name}.step-1.py{sys.version_info.major}{sys.version_info.minor}.nbi").write_text("")
+    monkeypatch.setattr(progress, "expect", lambda most: None)
+    monkeypatch.setattr(progress, "SHIPPED", [])
+    processor = cpu_target.target_context.codegen().magic_tuple()
+    for of in ("another", processor):
+        assert main(["warmup"]) == 0 and "compiling" in capsys.readouterr().err
+        for name in ("strapdown", "kalman", "measurement"):
+            index = tmp_path / f"{name}.step-1.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+            kept = checksum(f"navfilter.kernels.{name}"), {("signature", of, "code"): "step.nbc"}
+            index.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps(kept))
     assert main(["warmup"]) == 0
     said = capsys.readouterr()
     assert said.err == "" and "ready" in said.out

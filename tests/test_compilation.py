@@ -1,8 +1,10 @@
 """The first use of the kernels: what is compiled is shown, and it is no more than a vehicle needs."""
 
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -27,6 +29,7 @@ compilation.show_compilation()
 compilation.show_compilation()
 def {name}(x):
     return x + 1
+compilation.expect(1)
 for name in ("{name}", "other"):
     {name}.__module__ = "navfilter.kernels.example" if name == "{name}" else "elsewhere"
     numba.njit({name})(1)
@@ -41,8 +44,61 @@ def test_what_is_compiled_is_said(terminal):
     )
     said = run.stderr.decode()
     # once each, although it was asked for twice; other packages' functions are no news
-    assert said.count("now example.add ...") == 1 and "0 kernels done" in said
-    assert ("\r" in said) == terminal and (not terminal or "1 kernels done" in said)
+    assert said.count("now example.add ...") == 1 and "0 of at most 1 kernels in" in said
+    assert ("\r" in said) == terminal and (not terminal or "1 of at most 1 kernels done" in said)
+
+
+def test_how_long_it_takes_here_is_said():
+    shown = progress._Shown()
+    shown.most, shown.began = 100, 50.0
+    left = []
+    for shown.done in (5, 20, 100, 120):
+        left.append(shown._left(70.0))
+    assert left == ["", ", 80 s left", "", ""]
+
+
+#: A copy of the package, warmed up, is all that the other user has: nothing else can be written or read.
+COPY = """
+import sys
+from navfilter.kernels.compiling import progress
+from navfilter.service.kernel_cache import make_usable
+make_usable(print)
+progress.show_compilation()
+import navfilter as nf
+from navfilter.kernels import measurement
+if progress.is_compiled("strapdown"):
+    nf.warm_up(nf.Vehicle(imu=nf.Imu(rate_hz=10.0), sensors={"depth": nf.Depth()}))
+print(progress.is_compiled("strapdown"), progress.show_compilation().done)
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_copy_that_cannot_be_written_serves_every_user(tmp_path, damaged):
+    """At another path, with other times of its files, for somebody whose own cache is empty."""
+    nf.warm_up(nf.Vehicle(imu=nf.Imu(rate_hz=10.0), sensors={"depth": nf.Depth()}))
+    package, home = tmp_path / "image" / "navfilter", tmp_path / "home"
+    shutil.copytree(Path(nf.__file__).parent, package)
+    kernels = package / "kernels"
+    if damaged:
+        cut = min((kernels / "__pycache__").glob("kalman.*.nbi"))
+        cut.write_bytes(cut.read_bytes()[:-10])
+    for number, file in enumerate(sorted(kernels.glob("*.py"))):
+        os.utime(file, (number, number))
+    program = (
+        "import numba.core.caching as c\n"  # root may write wherever nobody else may
+        "def readonly(self): raise PermissionError(13, 'read-only')\n"
+        "c.InTreeCacheLocator.ensure_cache_path = readonly\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "image"), "XDG_CACHE_HOME": str(home), "HOME": str(home)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    run = subprocess.run(
+        [sys.executable, "-c", program + COPY], capture_output=True, text=True, env=environment, cwd=tmp_path
+    )
+    assert run.returncode == 0, run.stderr
+    *said, last = run.stdout.splitlines()
+    compiled, count = last.split()
+    assert (compiled, count, len(said)) == (str(not damaged), "0", int(damaged))
 
 
 @pytest.mark.parametrize("scenario", ["lawnmower", "reckoning", "thesis", "water-track"])

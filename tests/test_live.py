@@ -84,7 +84,7 @@ def test_a_snapshot_between_two_samples_changes_nothing(dive):
 
 
 RUN = """
-import importlib, json, pathlib, sys
+import dataclasses, importlib, json, pathlib, sys
 sys.path.insert(0, {tests!r})
 import numpy as np
 import navfilter as nf
@@ -119,6 +119,9 @@ live = signatures()
 for name in ["lawnmower"] if {own} else ("lawnmower", "reckoning", "thesis"):
     vehicle, mission = simulate_scenario(name, seed=1, duration_s=60.0)
     nf.replay(vehicle, mission, smooth=True).summary(mission.truth)
+    if not {own}:  # a verdict asks whose clock is off
+        late = {{k: v if v.from_drive else dataclasses.replace(v, time_offset_sd_s=0.1) for k, v in vehicle.sensors.items()}}
+        nf.replay(dataclasses.replace(vehicle, sensors=late), mission)
     nav = nf.Navigator(vehicle, mission.start)
     if "imu" in mission.streams:
         imu = mission.streams["imu"]

@@ -58,3 +58,10 @@ def test_velocities_of_a_made_file_and_its_damage(tmp_path):
     np.testing.assert_allclose(track.raw("log_time"), [began, began + 2.0], atol=1e-6)
     notes = " ".join(track.notes)
     assert "1 record with a wrong checksum" in notes and "7 bytes between records" in notes
+
+
+@pytest.mark.parametrize("rest", [b"\0", b"\xa5", b"\xa5\x0a", b"\xa5\x0a\0"])
+def test_a_few_bytes_at_the_end_are_the_end(tmp_path, rest):
+    """One byte was read again and again, for ever."""
+    (tmp_path / "dvl.ad2cp").write_bytes(record((1.5, -0.25, 0.125)) + rest)
+    assert len(Shelf().table(tmp_path / "dvl.ad2cp", "bottom_track").raw("frame")) == 1

@@ -346,7 +346,9 @@ def test_rubbish_leaves_no_nan_anywhere(build, seed):
     residuals = nav.filter.tape.residuals()
     assert sum(len(r.time_s) for r in residuals.values()) == sum(event.sensor != DRIVE for event in events)
     smoothed = []
-    smooth_rows(nav.filter.tape, lambda _, states, means, covs: smoothed.extend(np.isfinite([means.sum(), covs.sum()])))
+    smooth_rows(
+        nav.filter.tape, lambda _, states, means, covs, __: smoothed.extend(np.isfinite([means.sum(), covs.sum()]))
+    )
     assert smoothed and all(smoothed)
 
 
@@ -400,7 +402,7 @@ def test_a_spooled_tape_smooths_to_the_same_bits_and_thinning_changes_nothing(bu
         if memory_bytes == 0:
             assert sum(chunk is None for chunk in tape.records._chunks) > 3  # really in the file
         rows = {}
-        smooth_rows(tape, lambda begin, states, means, covs, rows=rows, tape=tape: rows.update(
+        smooth_rows(tape, lambda begin, states, means, covs, _, rows=rows, tape=tape: rows.update(
             (tape.row_times[begin + i], np.concatenate([state, mean, cov.ravel()]))
             for i, (state, mean, cov) in enumerate(zip(states, means, covs, strict=True))
         ))  # fmt: skip

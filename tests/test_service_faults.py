@@ -623,13 +623,29 @@ def test_the_health_file_says_how_the_run_is(dive, tmp_path):
 def test_what_is_no_file_is_not_replaced_by_one(dive, tmp_path, capsys, flag):
     """As root it would have been the end of /dev/null."""
     (tmp_path / "device").symlink_to("/dev/null")
-    assert main(["run", *dive.arguments, flag, str(tmp_path / "device"), "--quiet"]) == 2
-    assert "no file" in capsys.readouterr().err and (tmp_path / "device").is_symlink()
+    (tmp_path / "link").symlink_to(tmp_path / "nothing")
+    for name in ("device", "link", "folder"):
+        (tmp_path / "folder").mkdir(exist_ok=True)
+        assert main(["run", *dive.arguments, flag, str(tmp_path / name), "--quiet"]) == 2
+        assert "no file" in capsys.readouterr().err
+    assert (tmp_path / "device").is_symlink() and (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize("name", ["states", "/dev/stdout"])
+def test_what_standard_output_is_written_to_is_not_replaced(dive, tmp_path, name):
+    with (tmp_path / "states").open("wb") as out:
+        process = Process(*dive.arguments, "--health-file", tmp_path / name, stdout=out)
+        process.end()
+    assert process.code == 2 and process.errors.count(b"\n") == 1 and os.path.islink("/dev/stdout")
 
 
 @pytest.mark.parametrize("flag", ["--state", "--health-file"])
 @pytest.mark.parametrize(
-    "name", ["vehicle.toml", "start.json", "lines", "log/readings.jsonl", "log/snapshot", "thesis", "../x/thesis"]
+    "name",
+    [
+        *("vehicle.toml", "start.json", "lines", "log/readings.jsonl", "log/snapshot", "thesis", "../x/thesis"),
+        *("log", "log/snapshot.part", "book"),  # "book.part" stands there
+    ],
 )
 def test_no_file_of_somebody_is_written_over(dive, tmp_path, capsys, flag, name):
     folder = tmp_path / "x"
@@ -637,10 +653,11 @@ def test_no_file_of_somebody_is_written_over(dive, tmp_path, capsys, flag, name)
     shutil.copy(dive.toml, folder / "vehicle.toml")
     shutil.copy(dive.start_file, folder / "start.json")
     (folder / "lines").write_bytes(dive.lines[0])
-    (folder / "thesis").write_text("years of work")
+    for text in ("thesis", "book.part"):
+        (folder / text).write_text("years of work")
     before = {path: path.read_bytes() for path in folder.iterdir()}
     given = ["--vehicle", str(folder), "--start", str(folder / "start.json"), "--input", str(folder / "lines")]
-    if name == "log/snapshot" and flag == "--state":
+    if name.startswith("log/snapshot") and flag == "--state":
         flag, given = "--state", [*given, "--health-file", str(folder / name)]
     assert main(["run", *given, "--log", str(folder / "log"), flag, str(folder / name), "--quiet"]) == 2
     said = capsys.readouterr().err

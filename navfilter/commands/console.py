@@ -7,6 +7,7 @@ import contextlib
 import math
 import select
 import sys
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -199,11 +200,14 @@ def complain(text: str) -> None:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    from navfilter.kernels.compiling.progress import is_compiled, kernel_count
+    from navfilter.kernels.compiling.progress import expect, is_compiled, kernel_count
+    from navfilter.service.kernel_cache import FILTER
 
-    cold = not is_compiled("strapdown", "kalman", "measurement")
+    cold = not is_compiled(*FILTER)
     if cold:
-        say(f"compiling the kernels that are needed, once: at most {kernel_count()} ...")
+        most = kernel_count()
+        expect(most)
+        say(f"compiling the kernels that are needed, once: at most {most} ...")
     return cold
 
 
@@ -217,4 +221,6 @@ def compile_first(quiet: bool, vehicle: Vehicle | None = None) -> None:
     if announce_compilation(say):
         from navfilter.service.kernel_cache import compile_kernels
 
+        began = time.perf_counter()
         compile_kernels(say, vehicle)
+        say(f"compiled in {time.perf_counter() - began:.0f} s; later runs load it.")

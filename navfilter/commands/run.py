@@ -228,31 +228,45 @@ def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable
     from navfilter.service.log import LOG_FILE
     from navfilter.service.supervision import HealthFile
 
-    needed = [vehicle_file(options.vehicle), *filter(None, (options.start, options.input))]
+    needed = [vehicle_file(options.vehicle), *filter(None, (options.start, options.input, log))]
+    standard = [f"/dev/fd/{number}" for number in range(3)]  # what the shell has made of < and >
+    needed += filter(os.path.isfile, standard)
     if log is not None:
         needed += [log / name for name in (LOG_FILE, "mission.toml", "vehicle.toml")]
-        needed += [log / "snapshot"] * (options.state is None)
+        needed += _with_part(log / "snapshot") * (options.state is None)
     for flag, given, is_one in (
         ("--state", options.state, StateFile.is_one),
         ("--health-file", options.health_file, HealthFile.is_one),
     ):
         if given is None:
             continue
-        path = Path(given)
-        if any(_same(path, other) or _same(path.with_name(f"{path.name}.part"), other) for other in needed):
-            raise ValueError(f"{flag} {path} would be written over, and this run needs it. Give another name.")
-        needed.append(path)
-        if path.exists() and not path.is_file():
+        path, part = both = _with_part(Path(given))
+        for name in both:
+            if any(_same(name, other) for other in needed):
+                raise ValueError(f"{flag} {name} would be written over, and this run needs it. Give another name.")
+        if os.path.lexists(path) and not _is_file(path):  # a link would be replaced itself: /dev/stdout, say
             raise ValueError(f"{flag} {path} is no file: it would be replaced. Give another name.")
-        if not path.exists() or path.stat().st_size == 0 or is_one(path):
-            continue
-        if options.resume is None:
-            raise ValueError(
-                f"{flag} {path} is another file, and would be written over. Move it away, or give another name."
-            )
-        if flag == "--health-file":  # what becomes of a snapshot is the policy's business
-            path.replace(path.with_name(f"{path.name}.refused"))
-            say(f"{path} was no file of navfilter run: it is {path.name}.refused now")
+        needed += both
+        for path in both:
+            if not _is_file(path) or path.stat().st_size == 0 or is_one(path):
+                continue
+            if options.resume is None:
+                raise ValueError(
+                    f"{flag} {path} is another file, and would be written over. Move it away, or give another name."
+                )
+            if path == part or flag == "--health-file":  # what becomes of a snapshot is the policy's business
+                path.replace(path.with_name(f"{path.name}.refused"))
+                say(f"{path} was no file of navfilter run: it is {path.name}.refused now")
+
+
+def _with_part(path: Path) -> list[Path]:
+    """A file, and what is written beside it."""
+    return [path, path.with_name(f"{path.name}.part")]
+
+
+def _is_file(path: Path) -> bool:
+    """And no link to one."""
+    return path.is_file() and not path.is_symlink()
 
 
 def _same(path: Path, other: str | Path) -> bool:

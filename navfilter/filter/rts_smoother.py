@@ -18,7 +18,10 @@ ROWS = 64
 
 
 def smooth_rows(
-    tape: Tape, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], object] | None = None
+    tape: Tape,
+    store: Callable[[int, Array, Array, Array, Array], None],
+    progress: Callable[[int], object] | None = None,
+    inertial: bool = True,
 ) -> None:
     """Rauch-Tung-Striebel solution at every row of the tape, latest first.
 
@@ -30,12 +33,14 @@ def smooth_rows(
     ----------
     tape : Tape
         Of a run that wrote records (``smoothable=True``).
-    store : callable(first, values, means, covariances)
+    store : callable(first, values, means, covariances, steps)
         Called for some successive rows of one layout, of which the first is given by its number: the forward state
-        (q, 17 + (n - 9) values for n error states), the smoothed corrections (q, n) to add to it and the covariances
-        (q, n, n) of what is left.
+        (q, 17 + (n - 9) values for n error states), the smoothed corrections (q, n) to add to it, the covariances
+        (q, n, n) of what is left, and the residuals of the drive (q, 2, k), see `navfilter.kernels.kalman.drive_step`.
     progress : callable(n), optional
         Called now and then with the number of records done.
+    inertial : bool
+        Whether the drive carries velocity and attitude, or the position alone.
 
     Raises
     ------
@@ -67,13 +72,15 @@ def smooth_rows(
         begin, n = row - len(firsts), len(lam)
         until = max(first, int(holds[begin - 1]) if begin else 0)
         means, covariances = np.empty((row - begin, n)), np.empty((row - begin, n, n))
+        steps = np.empty((row - begin, 2, 6 if inertial else 3))
         most = 3 * max(n, int(kinds[:, 0].max(initial=0)))
         kalman.smooth_run(
             *(L, lam, records, begins, kinds, rows, firsts, holds[begin:row] - first),
-            *(index - first, until - first, means, covariances, np.empty((most, n)), np.empty((2 * n, n))),
+            *(index - first, until - first, means, covariances, 3 if inertial else 0, steps),
+            *(np.empty((most, n)), np.empty((2 * n, n))),
         )
         if begin < row:
-            store(begin, rows[firsts[:, None] + np.arange(8 + n)], means, covariances)
+            store(begin, rows[firsts[:, None] + np.arange(8 + n)], means, covariances, steps)
         if progress is not None:
             progress(index - until)
         index, row = until, begin

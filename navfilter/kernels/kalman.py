@@ -763,16 +763,41 @@ def smooth_row(P, L, lam, mean, cov, T):
             cov[j, i] = s
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
-def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, T, U):
+def drive_step(L, lam, nav, first, out):
+    """The step that a drive would have had to say too much at an epoch for all later readings to fit best, one body
+    axis at a time, and its standard deviation: out (2, k).
+
+    A step d along e changes what is left by -d e' L e: d = e' lam / (e' L e), var d = 1 / (e' L e). Their quotient is
+    the auxiliary residual of the drive's noise along e (de Jong and Penzer, 1998), normal with unit variance for an
+    honest filter. The first three axes are those of the states from `first` (0: position, 3: velocity), the next three
+    those of the attitude. NaN where no reading tells it.
+    """
+    for k in range(out.shape[1]):
+        at, axis = first if k < 3 else int(6), k % 3
+        f, s = 0.0, 0.0
+        for i in range(3):
+            e = nav[6 + 3 * i + axis]
+            f += e * lam[at + i]
+            for j in range(3):
+                s += e * L[at + i, at + j] * nav[6 + 3 * j + axis]
+        told = s > 0.0
+        out[0, k] = f / s if told else math.nan
+        out[1, k] = 1.0 / math.sqrt(s) if told else math.nan
+
+
+@njit(cache=True, **UNCOUNTED)
+def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, carried, steps, T, U):
     """Carry the adjoint backward over a run of records, and give the smoothed error at every row of them, the latest
     first: `smooth_record` and `smooth_row` in one call.
 
     records: flat; begins (r,): where each begins; heads (r, 5): axes, size of the head, size and start of the ticked
     block, place of a deviation. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where
     each begins; holds (q,): after how many of the records it holds. index: after how many of them the adjoint is;
-    until: where to leave it. means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as
-    `smooth_record` asks for, U 2n.
+    until: where to leave it. means (q, n), covs (q, n, n): what is found. carried: the first of the states that a
+    drive carries, steps (q, 2, k): see `drive_step`. T, U: work, n columns, T as many rows as `smooth_record` asks for,
+    U 2n.
     """
     n = len(lam)
     for q in range(len(firsts) - 1, -2, -1):
@@ -789,3 +814,4 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
                     P[j, i] = rows[first + j]
                 first += i + 1
             smooth_row(P, L, lam, means[q], covs[q], U[:n])
+            drive_step(L, lam, rows[firsts[q] :], carried, steps[q])

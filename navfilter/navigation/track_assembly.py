@@ -153,15 +153,17 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
     """The smoother's track; the run began at this processor time [s]."""
     tape = _tape(nav)
     rows = _Rows([(tape, range(len(tape.row_times)))])
-    places, correction = rows.places(tape), np.empty((len(tape.row_times), 9))
+    places, correction, inertial = rows.places(tape), np.empty((len(tape.row_times), 9)), nav.vehicle.drive.inertial
+    steps = np.empty((len(correction), 2, 6 if inertial else 3))
 
-    def store(begin: int, state: Array, mean: Array, covariance: Array) -> None:
-        correction[begin : begin + len(state)] = mean[:, :9]
+    def store(begin: int, state: Array, mean: Array, covariance: Array, step: Array) -> None:
+        here = slice(begin, begin + len(state))
+        correction[here], steps[here] = mean[:, :9], step
         columns, variance = places[tape.row_layouts[begin]], np.diagonal(covariance, axis1=1, axis2=2)[:, 9:]
         rows.put(begin, columns, state, covariance[:, :9, :9], variance, mean[:, 9:])
 
     shown = bar(len(tape.records), "smoother", progress)
-    smooth_rows(tape, store, None if shown is None else shown.update)
+    smooth_rows(tape, store, None if shown is None else shown.update, inertial)
     if shown is not None:
         shown.close()
     for begin in range(0, len(correction), PIECE):
@@ -181,7 +183,8 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
         if ".lever_arm_" in name or name in constants:
             # what has not told of it makes it walk there, see `consistency.consider`: of a constant the end says all
             rows.x[:, i], rows.variance[:, i] = rows.x[-1, i], rows.variance[-1, i]
-    return assembled("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+    track = assembled("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+    return dataclasses.replace(track, drive_steps=steps)
 
 
 def _tape(nav: Navigator) -> Tape:

@@ -24,7 +24,7 @@ from navfilter.report.figures import predicted_rms
 from navfilter.report.live import Live, item_of, live_stack, plain, toolbox
 from navfilter.report.live_plan import COLOURINGS, live_plan
 from navfilter.report.plan_view import Plan, draw_plan
-from navfilter.report.state_figures import shown_states
+from navfilter.report.state_figures import drive_residuals, shown_states
 from navfilter.track.track import Track
 
 __all__ = ["Instrument"]
@@ -157,6 +157,11 @@ def _rows(clock: Clock, track: Track, origin: Track) -> tuple[dict[str, list[flo
     columns |= {
         f"innovation {n}": (f"innovation of {n} [sd]", v, 3) for n, v in _innovations(track, track.time_s[rows])
     }
+    columns |= {
+        f"residual {owner} {axis}": (f"residual of {owner} {axis} [sd]", (step / sd)[rows], 3)
+        for owner, axes in drive_residuals(track).items()
+        for axis, step, sd, _ in axes
+    }
     found = {key: np.round(values, digits).tolist() for key, (_, values, digits) in columns.items()}
     plain_rows = {key: [None if value != value else value for value in values] for key, values in found.items()}
     return plain_rows, {key: plain(name) for key, (name, _, _) in columns.items()}
@@ -170,12 +175,13 @@ def _states(track: Track, rows: NDArray[np.int64]) -> Iterator[tuple[str, str, N
 
 
 def _innovations(track: Track, time_s: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Of each axis of each sensor, the latest reading at these times, in units of what was predicted."""
+    """Of each axis of each sensor, the latest reading used at these times, in units of what was predicted."""
     for name, r in track.residuals.items():
         if name not in track.vehicle.sensors or not len(r.time_s):
             continue
         for axis, title in enumerate(track.vehicle.sensors[name].axis_names):
-            good = np.flatnonzero(np.isfinite(r.value[:, axis]) & (r.sd[:, axis] > 0.0) & np.isfinite(r.sd[:, axis]))
+            known = np.isfinite(r.value[:, axis]) & (r.sd[:, axis] > 0.0) & np.isfinite(r.sd[:, axis])
+            good = np.flatnonzero(known & r.used)
             if not good.size:
                 continue
             last = np.searchsorted(r.time_s[good], time_s, side="right") - 1

@@ -262,5 +262,7 @@ def _marked(plot: Any, marks: tuple[Mark, ...], clock: Clock) -> None:
 def _key(part: Part | Level) -> Key:
     if isinstance(part, Level):
         return Key(part.label, LEVEL, "band")
-    kind = {Band: "band", Points: "points"}.get(type(part), "dashed" if getattr(part, "dash", "-") != "-" else "line")
+    if isinstance(part, Points):
+        return Key(part.label, part.hue, {"x": "x", "D": "points diamond"}.get(part.marker, "points"))
+    kind = "band" if isinstance(part, Band) else "dashed" if part.dash != "-" else "line"
     return Key(part.label, part.hue, kind)

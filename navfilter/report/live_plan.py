@@ -57,7 +57,7 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
         label = f"{short(name)} fixes used"
         east, north = fixes.T.astype(np.float32)
         plot.scatter(east, north, marker="cross", size=6, color=FIX, line_width=0.9, name=label, level="underlay")
-        keys.append(Key(label, FIX, "points"))
+        keys.append(Key(label, FIX, "cross"))
     for number, run in enumerate(plan.runs):
         hue, _ = colour(number)
         _path(plot, run, hue, plan.shape)
@@ -72,12 +72,12 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
         plot.scatter(
             [last.east[k]], [last.north[k]], marker=marker, size=8, line_color=END, fill_color="white", name=name
         )
-        keys.append(Key(name, END, "points"))
+        keys.append(Key(name, END, f"points {marker}"))
     zoomed = ColumnDataSource({"x": [], "y": []})
     plot.line("x", "y", source=zoomed, line_color="#d7191c", line_width=4, line_alpha=0.5, name="zoomed")
     here = ColumnDataSource({"x": [], "y": []})
     plot.scatter("x", "y", source=here, size=13, line_color="#d7191c", line_width=2.5, fill_color=None, name="here")
-    return Live(item_of(plot), [*keys, Key(plan.shape, "#555555", "line")], HEIGHT)
+    return Live(item_of(plot), [*keys, Key(plan.shape, "#555555", "points")], HEIGHT)
 
 
 def _plot(plan: Plan) -> Any:

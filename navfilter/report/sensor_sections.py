@@ -35,13 +35,17 @@ def sensor_sections(tracks: Tracks, learnt: tuple[LearnedText, ...], instrument:
     states = _states(tracks)
     runs = figures.filters(tracks)
     judged = {n: None for t in runs.values() for n, r in t.residuals.items() if r.used.any() and n in t.vehicle.sensors}
-    owners = list(judged | dict.fromkeys(states))
+    driven = next((track for track in reversed(list(tracks.values())) if state_figures.drive_residuals(track)), None)
+    steps = {} if driven is None else state_figures.drive_residuals(driven)
+    owners = list(judged | dict.fromkeys(states) | dict.fromkeys(steps))
     by_owner = {name: tuple(found for found in learnt if _owner(found.title, owners) == name) for name in owners}
     if owners:
         options = "".join(f'<option value="{escape(name)}">{escape(name)}</option>' for name in owners)
         yield f'<p class="choice"><label>Sensor <select class="sensors">{options}</select></label></p>'
     for name in owners:
         parts = [*_innovations(runs, name, by_owner[name], instrument)]
+        if driven is not None and name in steps:
+            parts.append(instrument.figure(*state_figures.steps_figure(driven, name)))
         end_s = max(float(track.time_s[-1]) for track in tracks.values())
         for caption, stack in learnt_figures.learnt_figures(by_owner[name], end_s):
             parts.append(instrument.figure(stack, caption))

@@ -1,4 +1,6 @@
-"""Figures of the states behind the nine of navigation: biases, coloured errors, calibration parameters."""
+"""Figures of the states behind the nine of navigation: biases, coloured errors, calibration parameters; and of what
+drives, which has no innovations.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +8,25 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.vehicle import Vehicle
 from navfilter.rendering.drawing import colour
-from navfilter.rendering.panels import Band, Line, Panel, Part, Stack, short
+from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack, short
 from navfilter.track.track import Track
 
-__all__ = ["ShownState", "shown_states", "states_figure"]
+__all__ = ["STEPS", "ShownState", "drive_residuals", "shown_states", "states_figure", "steps_figure"]
+
+Array = NDArray[np.float64]
+#: Of residuals of the drive, under their figure.
+STEPS = (
+    "{name}: residuals of what drives (smoothed run): the step that it would have had to say too much at each time for "
+    "all later readings to fit best, in standard deviations of that step. Of honest ones 95 % lie within 2; a hill is "
+    "an error that lasted. The largest: {largest}."
+)
 
 
 @dataclass(frozen=True)
@@ -90,3 +103,41 @@ def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -
         lines = textwrap.wrap(short(state.label, 48).replace("_", " ").replace(".", " "), 16)
         panels.append(Panel("\n".join([*lines, f"[{state.unit}]"]), tuple(parts), lines_at=(0.0,)))
     return Stack(tuple(panels), 1.2)
+
+
+def drive_residuals(track: Track) -> dict[str, list[tuple[str, Array, Array, str]]]:
+    """Residuals of what drives, by its parts as `shown_states` calls them: axis, step and its sd, unit; nothing of a
+    track that is not smoothed.
+    """
+    if track.drive_steps is None:
+        return {}
+    parts = (("accel", "m/s", 1.0), ("gyro", "deg", 180.0 / np.pi))
+    found: dict[str, list[tuple[str, Array, Array, str]]] = {}
+    for column in range(track.drive_steps.shape[2]):
+        owner, unit, factor = parts[column // 3] if track.vehicle.drive.inertial else ("drive", "m", 1.0)
+        step, sd = factor * track.drive_steps[:, :, column].T
+        found.setdefault(owner, []).append(("xyz"[column % 3], step, sd, unit))
+    return {owner: axes for owner, axes in found.items() if any(np.isfinite(step).any() for _, step, _, _ in axes)}
+
+
+def steps_figure(track: Track, owner: str) -> tuple[Stack, str]:
+    """Residuals of a part of what drives, in standard deviations, and their caption."""
+    panels, largest = [], []
+    for axis, step, sd, unit in drive_residuals(track)[owner]:
+        value, (hue, dash) = step / sd, colour(0)
+        level = Level(-2.0, 2.0, "95 %")
+        panels.append(
+            Panel(
+                f"{owner} {axis}\n[sd]",
+                (Line(track.time_s, value, "residual", hue, dash),),
+                None,
+                "symmetric",
+                level=level,
+            )
+        )
+        if np.isfinite(value).any():
+            at = int(np.nanargmax(np.abs(value)))
+            largest.append(
+                (abs(value[at]), f"{axis} {value[at]:.1f} at {track.time_s[at]:.0f} s, {step[at]:.2g} {unit}")
+            )
+    return Stack(tuple(panels), 1.2), STEPS.format(name=owner, largest=max(largest)[1])

@@ -28,13 +28,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["LIST", "compile_kernels", "discard_damaged", "make_usable", "seal", "warm"]
+__all__ = ["FILTER", "LIST", "compile_kernels", "discard_damaged", "make_usable", "seal", "warm"]
 
 #: File of the checksums, in the folder of the kernels.
 LIST = "navfilter-kernels.json"
 #: A cache needs about so much [bytes]; on a fuller disk numba would fail in the middle of a compilation.
 ROOM = 64 << 20
 
+#: Files of kernels that every filter needs.
+FILTER = ("strapdown", "kalman", "measurement")
 #: Any file of kernels: all are kept in one folder.
 _ANY = "navfilter.kernels.measurement"
 
@@ -53,19 +55,26 @@ def make_usable(say: Say) -> None:
     """
     from numba import config
 
+    from navfilter.kernels import SHIPPED
+    from navfilter.kernels.compiling.progress import is_compiled
+
     try:
         folder = _folder()
     except RuntimeError:  # of numba: no folder can be written
         folder = None
+    for shipped in [each for each in SHIPPED if each != folder and _damaged(each)]:
+        say(f"damaged files of compiled kernels in {shipped}, which cannot be written: none of them is used.")
+        SHIPPED.remove(shipped)
     if folder is not None and (_files(folder) or _room(folder)):
         if damaged := discard_damaged(folder):
             say(f"{damaged} damaged files of compiled kernels discarded in {folder}; they are compiled again.")
         return
-    why = "no folder for them can be written" if folder is None else f"the disk of {folder} is full"
-    say(
-        f"compiled kernels cannot be kept ({why}): every start compiles."
-        " Set NUMBA_CACHE_DIR to a folder that can be written."
-    )
+    if not is_compiled(*FILTER):
+        why = "no folder for them can be written" if folder is None else f"the disk of {folder} is full"
+        say(
+            f"compiled kernels cannot be kept ({why}): every start compiles."
+            " Set NUMBA_CACHE_DIR to a folder that can be written."
+        )
     settings: Any = config
     settings.CACHE_DIR = tempfile.mkdtemp(prefix="navfilter-kernels-")
     atexit.register(shutil.rmtree, settings.CACHE_DIR, ignore_errors=True)
@@ -108,13 +117,17 @@ def warm(say: Say, vehicle: Vehicle) -> None:
 
 def discard_damaged(folder: Path) -> int:
     """Remove compiled kernels that are not what the list says, and torn ones on no list; how many there were."""
-    sums = _sums(folder)
-    damaged = [path for path in _files(folder) if _is_damaged(path, sums)]
+    sums, damaged = _sums(folder), _damaged(folder)
     _remove(damaged)
     if any(path.name in sums for path in damaged):
         with contextlib.suppress(OSError):  # what is compiled now is another file of the same name
             _write(folder, {name: digest for name, digest in sums.items() if (folder / name).exists()})
     return len(damaged)
+
+
+def _damaged(folder: Path) -> list[Path]:
+    sums = _sums(folder)
+    return [path for path in _files(folder) if _is_damaged(path, sums)]
 
 
 def seal(folder: Path) -> None:
@@ -168,14 +181,11 @@ def _sums(folder: Path) -> dict[str, str]:
         return {}
 
 
-def _source(name: str) -> list[int]:
-    """Time [ns] and size of the module that a file of compiled code belongs to; empty where there is none."""
-    module = Path(importlib.import_module("navfilter.kernels").__path__[0]) / f"{name.split('.')[0]}.py"
-    try:
-        stat = module.stat()
-    except OSError:
-        return []
-    return [stat.st_mtime_ns, stat.st_size]
+def _source(name: str) -> str:
+    """Checksum of the module that a file of compiled code belongs to, and of what that imports."""
+    from navfilter.kernels.compiling.decorators import checksum
+
+    return checksum(f"navfilter.kernels.{name.split('.')[0]}")
 
 
 def _digest(path: Path) -> str:

@@ -94,9 +94,10 @@ class Session:
     AHEAD = 3
     #: No vehicle is faster or farther from the surface: such a state is none.
     FASTEST_M_S, HIGHEST_M = 3000.0, 100e3
-    #: So many seconds of the drive's samples, and so many at least, that bring time no further are no state to trust. A
-    #: clock that was set back is found within a quarter of a second, one in doubt within one.
-    STALLED_S, STALLED = 2.0, 20
+    #: So many seconds of the drive's samples, and so many at least, that bring time no further are no state to trust,
+    #: nor are those that bring it less far than by this share of them: a rate that is described ten times too high is
+    #: told otherwise. A clock that was set back is found within a quarter of a second, one in doubt within one.
+    STALLED_S, STALLED, SLOWEST = 2.0, 20, 0.05
     #: So is a state that readings are so far ahead of [s]; an inertial unit that is silent is stood in for by then.
     BEHIND_S = ImuIntake.SILENT_S + 1.0
     #: A warning about one kind of bad line comes at most so often [s], or when there are ten times as many.
@@ -129,6 +130,7 @@ class Session:
         self._ahead, self._stopped_s = 0, -math.inf
         self._most_stalled = max(self.STALLED, round(self.STALLED_S * vehicle.drive.rate_hz) * len(vehicle.driving))
         self._stalled, self._moved_s = 0, -math.inf
+        self._least_s = self.SLOWEST * vehicle.drive.period_s / len(vehicle.driving)
         self.bad: dict[str, int] = {}
         self._warned: dict[str, list[float]] = {}
         self._conditions: dict[str, str] = {}
@@ -223,12 +225,16 @@ class Session:
         """Whether readings come and come, and time goes no further."""
         assert self.nav is not None
         time_s = self.nav.time_s
-        if time_s > self._moved_s:
+        if self._moves():
             self._stalled, self._moved_s = 0, time_s
         elif reading.sensor in self.vehicle.driving:
             self._stalled += 1
         behind = self._ahead >= self.AHEAD and reading.time_s > time_s + self.BEHIND_S
         return behind or self._stalled >= self._most_stalled
+
+    def _moves(self) -> bool:
+        """Whether time has gone on by what the drive's samples since then tell at least."""
+        return self.nav is not None and self.nav.time_s > self._moved_s + self._least_s * self._stalled
 
     def _stall(self, reading: Reading) -> None:
         """Say once that there is no new state, and that the last one is not to be trusted any more."""
@@ -244,7 +250,7 @@ class Session:
     def _untrusted(self) -> dict[str, Any]:
         """Fields of a state in place of its own where time goes no further."""
         assert self.nav is not None
-        if self._conditions.get("trust") != "stalled" or self.nav.time_s > self._moved_s:
+        if self._conditions.get("trust") != "stalled" or self._moves():
             return {}
         return {"trust": "lost", "reasons": [self._conditions["stalled"]]}
 

@@ -402,11 +402,15 @@ def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
     for kind in kinds_below(Sensor):
         for sensor in kind.examples():  # type: ignore[attr-defined]
             sensors[f"{kind.__name__.lower()}-{len(sensors)}"] = sensor
+    # whose clock a verdict may ask for
+    sensors["late-heading"] = Heading(rate_hz=4.0, error=White(sd=0.01), time_offset_sd_s=0.1)
+    sensors["late-velocity"] = BodyVelocity(rate_hz=4.0, time_offset_sd_s=0.1)
     fix = next(name for name, sensor in sensors.items() if sensor.gives == "position")
     course = Heading(rate_hz=4.0, error=White(sd=0.01), deviation_sd_rad=(0.01, 0.01))
     reckoning = DeadReckoning(rate_hz=4.0, attitude=course, velocity=BodyVelocity(rate_hz=4.0, scale_sd=0.01))
     yield _tiny(Vehicle(imu=Imu(rate_hz=20.0), sensors=sensors, name="tiny-inertial"))
-    yield _tiny(Vehicle(reckoning, {fix: sensors[fix]}, name="tiny-reckoning"))
+    late = dataclasses.replace(sensors[fix], time_offset_sd_s=0.1)
+    yield _tiny(Vehicle(reckoning, {fix: late}, name="tiny-reckoning"))
 
 
 def tiny_mission(vehicle: Vehicle) -> tuple[Vehicle, Mission]:

@@ -120,6 +120,11 @@ class Track(Value):
     bounds : ndarray, shape (n, 2), or None
         Of a forward track: protection radius [m] and bound of the heading [rad], see
         `navfilter.faults.protection_level`.
+    drive_steps : ndarray, shape (n, 2, k), or None
+        Of a smoothed track: residuals of what drives. The step that it would have had to say too much at each row for
+        all later readings to fit best, and the standard deviation of that: honest ones are normal. Of an inertial unit
+        a step of the velocity along the axes of the body [m/s] and of the attitude about them [rad]; of dead reckoning
+        one of the position along them [m]. NaN where no reading tells it.
     axes : tuple of (time_s, axis, condition)
         When the condition of an axis of the inertial unit changed, as `Health.axes` names it.
     lanes : tuple of (float, str)
@@ -151,6 +156,7 @@ class Track(Value):
     revised: Track | None = None
     epoch_utc_s: float | None = None
     bounds: Array | None = None
+    drive_steps: Array | None = None
     axes: tuple[tuple[float, str, str], ...] = ()
     lanes: tuple[tuple[float, str], ...] = ()
     lane_history: LaneHistory | None = None
@@ -178,8 +184,10 @@ class Track(Value):
         """Only the given rows (a mask, a slice or indices); residuals and models stay whole."""
         rows = rows_of(rows)
         kept: dict[str, Any] = {name: getattr(self, name)[rows] for name in _BY_ROW}
-        bounds = None if self.bounds is None else self.bounds[rows]
-        return replace(self, forward=None, bounds=bounds, **kept)
+        for name in ("bounds", "drive_steps"):
+            of = getattr(self, name)
+            kept[name] = None if of is None else of[rows]
+        return replace(self, forward=None, **kept)
 
     def at(self, time_s: ArrayLike) -> Track:
         """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter
@@ -211,7 +219,7 @@ class Track(Value):
         moved: dict[str, Any] = {name: between(getattr(self, name)) for name in names}
         for name in ("latitude", "longitude", "attitude"):
             moved[name] = between(np.unwrap(getattr(self, name), axis=0))
-        return replace(self, time_s=times, forward=None, revised=None, bounds=None, **moved)
+        return replace(self, time_s=times, forward=None, revised=None, bounds=None, drive_steps=None, **moved)
 
     def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
         """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""

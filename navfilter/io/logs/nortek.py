@@ -64,7 +64,7 @@ def _records(path: Path, tally: Counter[str]) -> Iterator[tuple[int, bytes]]:
     """Identifier and data of the records whose checksums are right."""
     with path.open("rb") as file, byte_bar(path, path.stat().st_size) as bar:
         while first := file.read(2):
-            at = file.tell() - 2
+            at = file.tell() - len(first)
             rest = file.read(first[1] - 2) if len(first) == 2 and first[0] == _SYNC and first[1] in (10, 12) else b""
             header = first + rest
             if len(header) < 10 or len(header) != first[1] or _checksum(header[:-2]) != _word(header[-2:]):

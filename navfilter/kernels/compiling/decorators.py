@@ -29,7 +29,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["apart", "flat", "njit", "scratch", "shaped", "standing"]
+__all__ = ["apart", "checksum", "flat", "njit", "scratch", "shaped", "standing"]
 
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
@@ -81,19 +81,25 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _stamp(kernel: Any, module: str) -> None:
-    """Let a kernel that numba has kept count only as long as the files are the same whose kernels it may call.
+    """Let a kernel that numba has kept count as long as its file and those whose kernels it may call hold the same.
 
-    numba looks at the file of the kernel alone.
+    numba looks at the file of the kernel alone, some versions at its time, which is another one in a copy.
     """
     kept = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    if kept is not None:
-        kept._source_stamp = (kept._source_stamp, _checksum(module))
+    if kept is not None and module.startswith("navfilter.kernels."):
+        kept._source_stamp = checksum(module)
 
 
 @functools.cache
-def _checksum(module: str) -> str:
-    """Of the files of `navfilter.kernels` that a module imports, itself or by another."""
-    found, todo = set[str](), [module]
+def checksum(module: str) -> str:
+    """Of the file of a module of kernels, and of those that it imports, itself or by another.
+
+    Parameters
+    ----------
+    module : str
+        Of `navfilter.kernels`.
+    """
+    found, todo = {module}, [module]
     while todo:
         for folder, names in _IMPORT.findall(_source(todo.pop())):
             new = {f"{folder}.{name}" for name in re.findall(r"\w+", names)} | {folder}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 import time
 from collections.abc import Iterable
@@ -11,7 +12,10 @@ from typing import Any
 
 from numba.core import event
 
-__all__ = ["announce_each", "count_announced", "is_compiled", "kernel_count", "show_compilation"]
+from navfilter.kernels import SHIPPED
+from navfilter.kernels.compiling.decorators import checksum
+
+__all__ = ["announce_each", "count_announced", "expect", "is_compiled", "kernel_count", "show_compilation"]
 
 #: Elsewhere than on a terminal one line is written in so many seconds [s].
 _EVERY_S = 10.0
@@ -37,13 +41,20 @@ class _Shown(event.Listener):
         if function.__module__.startswith("navfilter.") and (sys.stderr.isatty() or now - self.said_s >= _EVERY_S):
             self.said_s = now
             name = f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
-            self._say(f"compiling, once: {self.progress()} done in {now - self.began:.0f} s, now {name} ...")
+            self._say(
+                f"compiling, once: {self.progress()} in {now - self.began:.0f} s{self._left(now)}, now {name} ..."
+            )
 
     def on_end(self, found: event.Event) -> None:
         self.depth -= 1
         self.done += found.data["dispatcher"].py_func.__module__.startswith("navfilter.")
         if not self.depth and sys.stderr.isatty():
             self._say(f"compiling, once: {self.progress()} done in {time.monotonic() - self.began:.0f} s", end="\r")
+
+    def _left(self, now: float) -> str:
+        """By what it has taken so far: kernels take about as long as each other, ten of them say it."""
+        left_s = (now - self.began) * (self.most - self.done) / max(self.done, 1)
+        return f", {left_s:.0f} s left" if 10 <= self.done < self.most else ""
 
     def progress(self) -> str:
         return f"{self.done} of at most {self.most} kernels" if self.most >= self.done else f"{self.done} kernels"
@@ -84,27 +95,45 @@ def announce_each() -> None:
 
 def count_announced(lines: Iterable[str], most: int) -> None:
     """Count what another process compiles with what is compiled here, and say what all may compile at most."""
-    shown = show_compilation() if show_compilation.cache_info().currsize else _Shown()  # else nobody looks
-    shown.most = most
+    shown = expect(most)
     for _ in lines:
         shown.done += 1
 
 
+def expect(most: int) -> _Shown:
+    """Let what is shown say how many kernels may be compiled, and how long it will take."""
+    shown = show_compilation() if show_compilation.cache_info().currsize else _Shown()  # else nobody looks
+    shown.most = most
+    return shown
+
+
 def is_compiled(*files: str) -> bool:
-    """Whether numba has kept kernels of each of these files of `navfilter.kernels` since it was last changed."""
+    """Whether numba has kept kernels of each of these files of `navfilter.kernels` as it is, for this processor."""
     from numba import config
+    from numba.core.registry import cpu_target
 
     settings: Any = config
-    sources = [_FOLDER / f"{name}.py" for name in files]
     if settings.DISABLE_JIT:
         return True
-    elsewhere = settings.CACHE_DIR
-    folders = [Path(elsewhere)] if elsewhere else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
+    folders = [Path(settings.CACHE_DIR)] if settings.CACHE_DIR else [Path.home() / ".cache" / "numba"]
+    processor = cpu_target.target_context.codegen().magic_tuple()
     tag = f".py{sys.version_info.major}{sys.version_info.minor}."
-    kept = [index for folder in folders if folder.is_dir() for index in folder.rglob("*.nbi") if tag in index.name]
+    indices = [i for folder in (*SHIPPED, *folders) for i in folder.rglob("*.nbi") if tag in i.name]
     return all(
-        any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources
+        any(i.name.startswith(f"{name}.") and _holds(i, checksum(_KERNELS + name), processor) for i in indices)
+        for name in files
     )
+
+
+def _holds(index: Path, stamp: str, processor: tuple[str, ...]) -> bool:
+    """Whether an index of numba's is of this source, and has a kernel for this processor."""
+    try:
+        with index.open("rb") as file:
+            pickle.load(file)
+            found, kept = pickle.load(file)
+            return found == stamp and any(key[1] == processor for key in kept)
+    except Exception:  # pickle raises many unrelated types on garbage
+        return False
 
 
 def kernel_count(*files: str) -> int:
