@@ -10,6 +10,8 @@ from test_alternatives import since
 from test_shifts import SHIFT_S, long_dive
 
 import navfilter as nf
+from navfilter.evaluation.diagnostics import doubts
+from navfilter.evaluation.fix_reacquisition import evidence
 from navfilter.faults.velocity_evidence import _regression
 
 COLUMNS = 5
@@ -73,6 +75,8 @@ def test_a_lever_arm_told_wrongly_is_no_jump_of_the_sensor(states):
     every = {k: dataclasses.replace(s, gate_probability=1.0 - 1e-15) for k, s in wrong.sensors.items()}
     _, ungated = rms(dataclasses.replace(wrong, sensors=every), mission)
     assert track.counts["jumped"] == 0
+    said = {finding.code for finding in doubts(track, mission, evidence(track))}
+    assert ("arm-or-clock" in said) == (track.counts["arm-or-clock"] > 0) == (not states)  # a state follows by itself
     assert error < max(1.1 * ungated, 2.0 * right)
 
 
@@ -92,5 +96,5 @@ def test_a_unit_runs_away_from_a_velocity_that_nobody_had_tried_for_long():
     imu = mission.streams["imu"]
     value = imu.value.copy()
     value[imu.time_s > imu.time_s[0] + 40.0, 4] += 0.3
-    track, error = rms(told(vehicle), mission.with_stream("imu", dataclasses.replace(imu, value=value)))
+    _, error = rms(told(vehicle), mission.with_stream("imu", dataclasses.replace(imu, value=value)))
     assert error < 25.0

@@ -131,6 +131,7 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
     if covariance.size:
         yield Inflate(places, places, covariance)
         kept.evidence = None  # what it told is the states' now
+    yield Count("arm-or-clock")
     yield from _readmit(filter, channel, reading.time_s)
     return True
 
