@@ -12,7 +12,7 @@ OfStream = Literal["stream", "reader", "few", "clock", "clock-unit", "delay", "s
 OfValues = Literal["empty", "stuck", "held", "mark", "quantised", "leaps", "unit", "scale", "sign", "axes", "mounting"]
 #: Of what streams say of each other, and of what vehicle.toml says:
 OfMotion = Literal["exchanged", "course", "heading", "habit", "iron", "north", "datum"]
-OfVehicle = Literal["sd", "bias", "lacking", "omitted", "constant", "untold", "correlation"]
+OfVehicle = Literal["sd", "bias", "lacking", "omitted", "arm-or-clock", "constant", "untold", "correlation"]
 #: Of a track, of the unit that drives it, and of its sensors:
 OfTrack = Literal[
     "diverged", "impossible", "unbounded", "reset", "opened", "given-up", "surfacing", "drift", "backward"

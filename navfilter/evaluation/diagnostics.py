@@ -236,6 +236,13 @@ def _given_up(run: Track) -> Iterator[Finding]:
         yield Finding(
             "error", "opened", "", text, "See in report.html, at the innovations, when, and which sensor was first."
         )
+    if count := run.counts.get("arm-or-clock", 0):
+        text = (
+            f"{counted(count, 'readings')} of a velocity agreed with the others only as if its lever arm or its clock"
+            " were wrong: let in with what that makes of them as noise."
+        )
+        cure = "Measure them; or give them as states in vehicle.toml, lever_arm_sd_m = 1.0 and time_offset_sd_s = 0.5."
+        yield Finding("warning", "arm-or-clock", "", text, cure)
     if run.counts.get("given-up", 0):
         text = "constants of vehicle.toml contradicted the error models that were learnt: these were given up."
         cure = "Nothing was learnt from then on. Widen the sd of what is constant, or calibrate it."

@@ -114,13 +114,13 @@ def _flows(memory: FilterMemory) -> float:
     """Square of the current, as a share of that of the speed: beside a wrong heading it has been estimated wrongly."""
     place, v = int(memory.drv[strapdown.CURRENT]), memory.nav[3:5]
     current = memory.x[place : place + 2] if place >= 0 else np.zeros(2)
-    return float(current @ current) / max(float(v @ v), settings.COMPASS_SLOW**2)
+    return float(current @ current) / max(float(v @ v), settings.SLOW**2)
 
 
 def _faster(memory: FilterMemory) -> float:
     """Variance of the speed, as a share of its square."""
     v = memory.nav[3:5]
-    return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), settings.COMPASS_SLOW**2) ** 2
+    return float(v @ memory.P[3:5, 3:5] @ v) / max(float(v @ v), settings.SLOW**2) ** 2
 
 
 def _begin(before: DeadReckoningComparison) -> tuple[float, float, float, float]:
@@ -158,9 +158,7 @@ def opened_velocity(filter: FilterState, size: float, speed: float) -> Change | 
         return None if has_offset(models) else Change("velocity", with_offsets(models, size), offsets=True)
     now_s = filter.memory.time_s
     for channel in filter.channels.values():
-        used = (
-            now_s - channel.memory.used_s < settings.COMPASS_RECENT_S and channel.sensor.observes.corrects == "velocity"
-        )
+        used = now_s - channel.memory.used_s < settings.RECENT_S and channel.sensor.observes.corrects == "velocity"
         if used and channel.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
     return None

@@ -115,7 +115,7 @@ def against_the_compass(filter: FilterState, fixes: Channel, course: TrackRotati
         Now [s].
     """
     channels = filter.channels.values()
-    recent = [c for c in channels if time_s - c.memory.used_s < settings.HEADING_RECENT_S]
+    recent = [c for c in channels if time_s - c.memory.used_s < settings.RECENT_S]
     compasses = [c for c in recent if c.sensor.observes.corrects == "heading"]
     moving = any(_reckons(c) for c in recent)
     if course.count < 3 or not moving or len(compasses) > 1:
@@ -256,12 +256,12 @@ def _confirmed(filter: FilterState, compass: Channel) -> bool:
     the heading.
     """
     now_s, far_m = filter.memory.time_s, led_astray(compass, filter.memory.nav)
-    recent = [c for c in filter.channels.values() if now_s - c.memory.used_s < settings.HEADING_RECENT_S]
+    recent = [c for c in filter.channels.values() if now_s - c.memory.used_s < settings.RECENT_S]
     if filter.inertial and not any(_reckons(c) for c in recent):
         return False
     for fixes in filter.channels.values():
         kept = fixes.faults
-        calm = kept.refused is None and not kept.astray and now_s - fixes.memory.used_s < settings.HEADING_RECENT_S
+        calm = kept.refused is None and not kept.astray and now_s - fixes.memory.used_s < settings.RECENT_S
         if fixes.sensor.observes.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
             sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
             if far_m > 2.0 * settings.SURE * math.sqrt(2.0) * sd:

@@ -17,6 +17,7 @@ from navfilter.faults.imu.monitor import CONDITIONS
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.refusals import RejectionRun
 from navfilter.faults.settings import UNDISPUTED_S
+from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.kernels import imu_checks
 
@@ -41,6 +42,8 @@ class SensorFaults:
         What the readings that have been refused since say together.
     ramp : tuple of float
         Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
+    evidence : VelocityEvidence or None
+        Of a velocity that has been refused: which explanation its readings speak for.
     way : AlternativePath or None
         Of a velocity that has been refused since the last fix: the way that it would have made beside the state's.
     refused_s : float
@@ -79,6 +82,7 @@ class SensorFaults:
     agreed_s: float = math.nan
     refused: RejectionRun | None = None
     ramp: tuple[float, ...] = ()
+    evidence: VelocityEvidence | None = None
     way: AlternativePath | None = None
     refused_s: float = -math.inf
     disputed_s: float = -math.inf

@@ -21,6 +21,7 @@ from navfilter.faults import (
     innovation_gate,
     sensor_bias,
     settings,
+    velocity_evidence,
     velocity_fault,
 )
 from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
@@ -111,6 +112,28 @@ def _gyro_scale(filter: FilterState, channel: Channel, reading: Rejected) -> Act
     if channel.sensor.observes.north is not None:
         whole = innovation_gate.whole_heading(channel, filter.memory.x)
         yield from gyro_scale.refused(filter, channel, reading.time_s, whole)
+
+
+def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A velocity whose lever arm or clock is described wrongly: it counts with what that makes of it. Before it has
+    confirmed the state, that may as well be wrong.
+    """
+    yield from ()
+    kept = channel.faults
+    if not channel.moves or channel.offset or not kept.confirmed(channel.memory.used_s):
+        return None
+    kept.evidence = velocity_evidence.with_rejected(filter, channel, reading.time_s)
+    covered = velocity_evidence.covered(filter, channel)
+    if covered is None:
+        return None
+    places, covariance, white = covered
+    channel.R += white
+    if covariance.size:
+        yield Inflate(places, places, covariance)
+        kept.evidence = None  # what it told is the states' now
+    yield Count("arm-or-clock")
+    yield from _readmit(filter, channel, reading.time_s)
+    return True
 
 
 def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
@@ -247,6 +270,8 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
             return False
     carried = channel.sensor.observes is not Observable.HEIGHT or depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
+    if wrong == "sensor" and channel.moves and not channel.offset and velocity_evidence.describes(channel):
+        return False
     if wrong == "sensor" or refused.back >= settings.RUN_LEAST:
         yield from _jumped(filter, channel, time_s)
         return False
@@ -391,7 +416,7 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
     if sensor_bias.is_gauge(channel) and refused.back < settings.RUN_LEAST and may_be(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
         return
-    kept.either = False
+    kept.either, kept.evidence = False, None
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, sensor_bias.offset_places(channel)
     kept.aside = (
@@ -403,7 +428,7 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
     elif refused.back >= settings.RUN_LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
-        moving = channel.sensor.observes is Observable.VELOCITY_BODY and speed > settings.POLICY_SLOW
+        moving = channel.sensor.observes is Observable.VELOCITY_BODY and speed > settings.SLOW
         only, deviates = channel.sensor.jumps, channel.sensor.observes.north is not None
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
@@ -480,6 +505,7 @@ REJECTED = (
     _fix_out_of_reach,
     _note_alternative_path,
     _gyro_scale,
+    _described_wrongly,
     _acceleration,
     _tilt,
     _dead_reckoning_compass,

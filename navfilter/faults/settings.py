@@ -15,6 +15,14 @@ UNDISPUTED_S = 600.0
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
 #: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in. (chosen)
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
+#: One that has been refused for so long contradicts the state, or is disputed [s]. (chosen)
+REFUSED_S = 1.0
+#: A sensor has been used so lately at most, if it is to speak for the state [s]. (chosen)
+RECENT_S = 5.0
+#: A sensor that others are judged by has been used for so long [s]. (chosen)
+USED_S = 60.0
+#: A speed below this tells nothing of what goes with it [m/s]. (chosen)
+SLOW = 0.1
 
 # -------------------- allowed change
 #: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
@@ -53,10 +61,6 @@ SET = 4
 # -------------------- dead reckoning compass
 #: Refused fixes that come so long after each other are not of one way [s]. (chosen)
 APART_S = 60.0
-#: A velocity sensor has been used so lately at most [s]. (chosen)
-COMPASS_RECENT_S = 5.0
-#: A speed below this tells no share of it [m/s]. (chosen)
-COMPASS_SLOW = 0.1
 
 # -------------------- depth fault
 #: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives. (chosen)
@@ -73,8 +77,6 @@ SURE, KNOWN_RAD = 5.0, 0.07
 #: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the
 #: first they have made it, beyond the second not. (chosen)
 FITS, MISSES = 2.0, 4.0
-#: A velocity sensor has been used so lately at most [s]. (chosen)
-HEADING_RECENT_S = 5.0
 #: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
 #: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather. (chosen)
 DRAWN_RAD = math.radians(15.0)
@@ -88,18 +90,16 @@ IRON_SLOPE, IRON_SURE = 0.5, 3.0
 #: deviations (of Student's t with six degrees of freedom 2e-4 are beyond), and if it began at less than this share of
 #: what it has come to [1]: what fails at once is no ramp. (chosen)
 READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
-#: A sensor that accuses the drive was used for so long before [s], and led the vehicle so far from its start [m]: one
-#: that is described wrongly is refused when the vehicle first moves off. (chosen)
-ACCELERATION_USED_S, WAY_M = 60.0, 50.0
+#: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
+#: refused when the vehicle first moves off. (chosen)
+WAY_M = 50.0
 #: While the vehicle turns faster, nothing is accused [rad/s]: what is described wrongly shows then, and not after.
 #: (chosen)
 TURNING = 0.05
-#: One that is refused for so long [s] without that is disputed. (chosen)
-ACCELERATION_DISPUTED_S = 1.0
-#: Such a one accuses by a ramp of so long [s], longer than readings are late, if its readings have changed by less
-#: than this share of what the ramp has grown by [1]: one in another unit changes by as much or more, with another sign
-#: by half of it. And the ramp must have grown by so much [m/s]: what a slow vehicle's wrong lever arm or mirrored axis
-#: makes of a turn is less. (measured)
+#: One that is disputed, or has not been used for long, accuses by a ramp of so long [s], longer than readings are
+#: late, if its readings have changed by less than this share of what the ramp has grown by [1]: one in another unit
+#: changes by as much or more, with another sign by half of it. And the ramp must have grown by so much [m/s]: what a
+#: slow vehicle's wrong lever arm or mirrored axis makes of a turn is less. (measured)
 LONG_S, ACCELERATION_SAME, ACCELERATION_GROWN = 10.0, 0.25, 1.0
 #: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s]. (chosen)
 RUNAWAY_S = 2.0
@@ -142,8 +142,6 @@ OUT_S, GLR_LONGEST_S = 10.0, 160.0
 GLR_OPENED = 3.0
 #: What is left must carry the vehicle: a velocity and a heading heard within so long [s]. (chosen)
 GLR_HEARD_S = 3.0
-#: One that has been left out is left out again when compass or DVL has been rejected for so long [s]. (chosen)
-REJECTED_S = 1.0
 
 # -------------------- imu: gyro scale
 #: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s]. (chosen)
@@ -162,8 +160,6 @@ LEFT = 0.35
 NEARLY, NONE = (0.62, 1.6), 0.2
 #: So far the vehicle must have turned, fast, since the compass was refused for so long [rad], [s]. (chosen)
 FOLLOWED, GYRO_DISPUTED_S = 1.0, 5.0
-#: Or the compass has agreed for so long, and was never refused for three seconds in ten minutes [s]. (chosen)
-GYRO_USED_S = 60.0
 #: And it has been refused for so long on end [s]: of one with heavy tails that is refused now and then, those readings
 #: are far apart whatever the gyros say. (chosen)
 LASTS_S = 1.0
@@ -196,8 +192,6 @@ TILT_LIMIT = 30.0
 #: A force that differs from gravity by more is no level [m/s^2]: `navfilter.models.alignment` refuses it, too.
 #: (chosen)
 EXCESS = 1.5
-#: A velocity that has been refused for so long contradicts the state [s]. (chosen)
-REFUSED_S = 1.0
 #: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s]. (chosen)
 TILT_HEARD_S, VELOCITY_SD = 1.0, 0.1
 
@@ -261,8 +255,6 @@ SENSOR_DISPUTED_S = 3.0
 STILL_SDS = 3.0
 
 # -------------------- policy
-#: Below this speed a velocity that is off says nothing of its scale [m/s]. (chosen)
-POLICY_SLOW = 0.1
 #: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
 #: (chosen)
 AGAIN_S = 120.0
@@ -302,6 +294,16 @@ OFFSET_GROWN = 3.0
 CHANCE = 1.0
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1]. (chosen)
 AGAIN = 0.02
+
+# -------------------- velocity evidence
+#: What a velocity may be off by beforehand, as standard deviations: a constant [m/s], a force [m/s^2], a lever
+#: arm [m], a clock [s]. (chosen)
+OFF_M_S, RAMP_M_S2, ARM_M, LATE_S = 0.5, 0.5, 2.0, 1.0
+#: Log odds of a wrong description against a jump that happens to begin in these ten seconds [nat]: one mission in ten
+#: against once in five hours. (derived)
+JUMP_ODDS = 5.0
+#: The scale of the noise and what is left by an estimate settle in so many rounds [1]. (derived)
+ROUNDS = 8
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.

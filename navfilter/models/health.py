@@ -124,7 +124,8 @@ class Health(Value):
     drive : dict of str to int
         Irregularities so far: of the drive's samples gaps, backward stamps, repaired samples, clock set back or right;
         then gates widened, resets of the state to sensors that agree against it, jumps of sensors, states given up,
-        attitudes set anew by the level, biases of gyros that shifted, models adopted; and, where the drive has been
+        attitudes set anew by the level, biases of gyros that shifted, models adopted, velocities let in as by a wrong
+        lever arm or clock; and, where the drive has been
         late by 0.2 s and 5 periods, how many readings came so far ahead of it.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].

@@ -17,6 +17,7 @@ from navfilter.faults.memory import MonitorMemory, SensorFaults
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.refusals import RejectionRun
 from navfilter.faults.sensor_monitor import SensorMonitor
+from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
@@ -97,6 +98,7 @@ MEMORY = (
         AlternativePath,
         TrackRotationFit,
         DeadReckoningComparison,
+        VelocityEvidence,
         VelocityFault,
         NoiseScale,
         GyroScaleTest,

@@ -43,7 +43,7 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
     residual = ground_velocity.residual(channel, nav, channel.note[3 : 3 + channel.axes]) if channel.ground else None
     if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
         return 0.0
-    if residual is None or not _was_right(filter, channel):
+    if residual is None or not filter.inertial:
         slope = None
     elif time_s == since_s or float(np.linalg.norm(filter.memory.monitor.imu[:3, kernel.MEAN])) > settings.TURNING:
         kept.ramp, slope = (), None
@@ -54,20 +54,18 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         slope = slope if float(np.linalg.norm(residual)) > channel.sensor.flows_m_s else None
     else:
         slope = None
-    if slope is not None and not kept.undisputed and not reads_the_same(kept.ramp, read(filter, channel), slope):
+    if slope is not None and not (
+        may_accuse(filter, channel) or reads_the_same(kept.ramp, read(filter, channel), slope)
+    ):
         slope = None
     if slope is None and ran_away(filter, channel, time_s):
         return 0.0
-    if (
-        slope is None
-        and time_s - since_s >= settings.ACCELERATION_DISPUTED_S
-        and not may_accuse(filter, channel, time_s)
-    ):
+    if slope is None and time_s - since_s >= settings.REFUSED_S and not may_accuse(filter, channel):
         kept.disputed_s = time_s
     return slope
 
 
-def may_accuse(filter: FilterState, channel: Channel, time_s: float) -> bool:
+def may_accuse(filter: FilterState, channel: Channel) -> bool:
     """Whether a sensor that is refused has confirmed the state well enough before to speak against the drive."""
     return _was_right(filter, channel) and channel.faults.undisputed
 
@@ -77,7 +75,7 @@ def _was_right(filter: FilterState, channel: Channel) -> bool:
     if not filter.inertial or not channel.ground:
         return False
     kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
-    return channel.memory.used_s - kept.agreed_s >= settings.ACCELERATION_USED_S and math.hypot(*way) >= settings.WAY_M
+    return channel.memory.used_s - kept.agreed_s >= settings.USED_S and math.hypot(*way) >= settings.WAY_M
 
 
 def ran_away(filter: FilterState, channel: Channel, time_s: float) -> bool:

@@ -158,7 +158,7 @@ class BiasJumpGlr:
         since_s = memory.time_s - channel.faults.rejected_since_s
         late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < settings.GLR_LONGEST_S
         carries = channel.faults.aside is None and (channel.moves or channel.sensor.observes.north is not None)
-        return late and since_s > settings.REJECTED_S and carries
+        return late and since_s > settings.REFUSED_S and carries
 
     def _leave_out(self, filter: FilterState, sizes: Array) -> Iterator[Action]:
         """Gyros and accelerometers are left out for a while; the longer, the sooner they have failed again."""

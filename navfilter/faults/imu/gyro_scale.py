@@ -165,7 +165,7 @@ def _stepped(before: GyroScaleTest, time_s: float, heading: float, w: Array, noi
 
 
 def _undisputed(compass: Channel) -> bool:
-    return compass.faults.undisputed and compass.memory.used_s - compass.faults.agreed_s >= settings.GYRO_USED_S
+    return compass.faults.undisputed and compass.memory.used_s - compass.faults.agreed_s >= settings.USED_S
 
 
 def _velocity_refused(filter: FilterState, time_s: float) -> bool:

@@ -1,0 +1,221 @@
+"""What refused velocities say together: explanations, compared by their marginal likelihoods (MacKay, 1992).
+
+A velocity may be off because its sensor is off by a constant, in its own axes, in n (what it reads against moves) or in
+proportion; or because it is described wrongly: its lever arm, or its clock, of which nothing shows but when the vehicle
+turns or changes its speed. Each explanation is a linear regression of the residuals with a Gaussian prior; the scale of
+the noise is fitted to each, and to none. Sums over the readings are all that is kept: of those that are refused on end,
+by which constants are judged, for they have a beginning; and of all since constants were given last, by which the
+description is, for it has none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults import ground_velocity, settings
+from navfilter.filter.monitor import FilterState
+from navfilter.filter.sensor_channel import Channel
+from navfilter.kernels import strapdown
+from navfilter.models.fault_bias import SCALE
+
+__all__ = ["VelocityEvidence", "covered", "describes", "with_rejected"]
+
+Array = NDArray[np.float64]
+#: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock.
+CURRENT, RAMP, SCALED, ARM, CLOCK = slice(0, 2), slice(2, 4), slice(4, 5), slice(5, 8), slice(8, 9)
+RUN, ALL = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityEvidence:
+    """Sums over refused velocities.
+
+    Attributes
+    ----------
+    sums : ndarray, shape (2, p + 1, p + 1)
+        Of products of the p regressors and the residual, each in standard deviations of the white noise: of the
+        readings refused on end, and of all. It is not written to.
+    counts : tuple of int
+        Components in each.
+    past : float
+        What constants explain of the runs before, each with its own, less what such a jump is unlikely [nat].
+    since_s, time_s : float
+        Since when readings have been refused on end, and of the last of them [s].
+    row : ndarray, shape (axes, p)
+        Regressors of the last one.
+    """
+
+    sums: Array
+    counts: tuple[int, int]
+    past: float
+    since_s: float
+    time_s: float
+    row: Array
+
+
+def with_rejected(filter: FilterState, channel: Channel, time_s: float) -> VelocityEvidence:
+    """The sums with the reading that has just been refused.
+
+    Parameters
+    ----------
+    filter : FilterState
+    channel : Channel
+        Whose reading has just been refused.
+    time_s : float
+        Of the reading [s].
+    """
+    before, since_s = channel.faults.evidence, channel.faults.rejected_since_s
+    # one that was let in by what explains it ends no run
+    on_end = before is not None and time_s - before.time_s <= 1.5 * channel.period_s
+    since_s = before.since_s if before is not None and on_end else since_s
+    row = _regressors(filter, channel, time_s - since_s + channel.period_s)
+    if before is None or before.row.shape != row.shape:
+        before = VelocityEvidence(
+            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, row
+        )
+    if on_end:
+        # how the velocity over ground has changed since the last one is what a clock makes of it
+        moved = row[:, _place(channel, SCALED)] - before.row[:, _place(channel, SCALED)]
+        row[:, _place(channel, CLOCK)] = -moved / (time_s - before.time_s)
+    residual = ground_velocity.components(channel, channel.res[: channel.axes])
+    seen = np.isfinite(residual)
+    sd = np.sqrt(np.maximum(ground_velocity.components(channel, np.diag(channel.R)), 1e-300))
+    whole = (np.column_stack([row, residual]) / sd[:, None])[seen]
+    added, count = whole.T @ whole, int(seen.sum())
+    sums, counts, past = before.sums, before.counts, before.past
+    if before.since_s != since_s:
+        past += max(0.0, _constants(channel, before) - settings.JUMP_ODDS)
+        sums, counts = np.array([np.zeros_like(added), sums[ALL]]), (0, counts[ALL])
+    return VelocityEvidence(sums + added, (counts[RUN] + count, counts[ALL] + count), past, since_s, time_s, row)
+
+
+def describes(channel: Channel) -> bool:
+    """Whether a description that is wrong explains the refused velocities rather than constants of the sensor."""
+    kept = channel.faults.evidence
+    return (
+        kept is not None
+        and _description(channel, kept).gain > kept.past + _constants(channel, kept) - settings.JUMP_ODDS
+    )
+
+
+def covered(filter: FilterState, channel: Channel) -> tuple[slice, Array, Array] | None:
+    """What a wrong description that explains the refused velocities adds to let the last of them in; None where it does
+    not explain them, or not this one.
+
+    Returns
+    -------
+    places : slice
+        Of its lever arm and clock in the error state, as far as they are states.
+    covariance : ndarray
+        For these.
+    white : ndarray, shape (axes, axes)
+        For the reading, of those that are none.
+    """
+    kept, a = channel.faults.evidence, channel.axes
+    assert kept is not None
+    wrong = _description(channel, kept)
+    if not wrong.gain > kept.past + max(settings.JUMP_ODDS, _constants(channel, kept)):
+        return None
+    E, off = np.outer(wrong.mean, wrong.mean) + wrong.covariance, np.zeros((a, 4))
+    off[: len(kept.row)] = kept.row[:, _places(channel, ARM, CLOCK)]
+    seen = np.isfinite(channel.res[:a])
+    S = (channel.PH @ channel.H.T + channel.R + off @ E @ off.T)[np.ix_(seen, seen)]
+    nis = float(channel.res[:a][seen] @ np.linalg.solve(S, channel.res[:a][seen]))
+    if not nis <= channel.limits[int(seen.sum())]:
+        return None
+    sensor, end = channel.sensor, channel.group.start + channel.group.size
+    arm, clock = any(sensor.lever_arm_sd_m), sensor.time_offset_sd_s > 0.0
+    known = np.array([arm] * 3 + [clock])
+    places = slice(end - int(known.sum()), end)
+    return places, E[np.ix_(known, known)], off[:, ~known] @ E[np.ix_(~known, ~known)] @ off[:, ~known].T
+
+
+def _regressors(filter: FilterState, channel: Channel, age_s: float) -> Array:
+    """What each explanation makes of the reading per unit of its parameters; the clock's is left at 0."""
+    memory, near = filter.memory, ground_velocity.components(channel, channel.near)[:, 3:6]
+    drv, C = memory.drv, memory.nav[6:15].reshape(3, 3)
+    per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] else 1.0
+    rate = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] / per
+    x, y, z = rate.tolist()
+    turning = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    arm = near @ C @ turning
+    flow, speed = near[:, :2], near @ memory.nav[3:6]
+    return np.column_stack([np.eye(len(near)), flow, age_s * flow, speed, arm, np.zeros(len(near))])
+
+
+def _place(channel: Channel, columns: slice) -> int:
+    return (channel.ground or channel.axes) + columns.start
+
+
+def _places(channel: Channel, *columns: slice) -> list[int]:
+    first = channel.ground or channel.axes
+    return [first + i for one in columns for i in range(one.start, one.stop)]
+
+
+class Explanation(NamedTuple):
+    """A regression of refused velocities.
+
+    Attributes
+    ----------
+    gain : float
+        By how much it makes them likelier than noise alone does [nat].
+    mean, covariance : ndarray
+        Of its parameters.
+    """
+
+    gain: float
+    mean: Array
+    covariance: Array
+
+
+def _constants(channel: Channel, kept: VelocityEvidence) -> float:
+    """Gain of the constant, of sensor or force, that explains the readings refused on end best [nat]."""
+    axes, n, prior = channel.ground or channel.axes, kept.counts[RUN], settings.OFF_M_S
+    force = np.repeat([prior, settings.RAMP_M_S2], 2)
+    return max(
+        _regression(kept.sums[RUN], n, list(range(axes)), np.full(axes, prior)).gain,
+        _regression(kept.sums[RUN], n, _places(channel, CURRENT), np.full(2, prior)).gain,
+        _regression(kept.sums[RUN], n, _places(channel, CURRENT, RAMP), force).gain,
+        _regression(kept.sums[RUN], n, _places(channel, SCALED), np.array([SCALE])).gain,
+    )
+
+
+def _description(channel: Channel, kept: VelocityEvidence) -> Explanation:
+    """A wrong lever arm and clock, by all refused readings; the gain of one of them alone where that is more."""
+    sds = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
+    of = kept.sums[ALL], kept.counts[ALL]
+    arm, clock = _regression(*of, _places(channel, ARM), sds[:3]), _regression(*of, _places(channel, CLOCK), sds[3:])
+    both = _regression(*of, _places(channel, ARM, CLOCK), sds)
+    return both._replace(gain=max(arm.gain, clock.gain, both.gain))
+
+
+def _regression(sums: Array, count: int, places: list[int], sds: Array) -> Explanation:
+    """Bayesian linear regression; the scale of the noise is the likeliest one, of that of its description at least.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (p + 1, p + 1)
+    count : int
+    places : list of int
+        Of its parameters.
+    sds : ndarray
+        Standard deviations that these have beforehand.
+    """
+    A, b, c = sums[np.ix_(places, places)], sums[places, -1], float(sums[-1, -1])
+    if not count:
+        return Explanation(0.0, np.zeros(len(places)), np.diag(sds**2))
+    alone = noise = max(1.0, c / count)
+    for _ in range(settings.ROUNDS):
+        V = np.linalg.inv(A / noise + np.diag(sds**-2))
+        m = V @ b / noise
+        noise = max(1.0, float(c - 2.0 * m @ b + m @ A @ m) / count)
+    V = np.linalg.inv(A / noise + np.diag(sds**-2))
+    m = V @ b / noise
+    occam = np.linalg.slogdet(V)[1] - 2.0 * float(np.log(sds).sum())
+    gain = 0.5 * ((float(b @ m) - c) / noise + c / alone - count * math.log(noise / alone) + occam)
+    return Explanation(gain, m, V)

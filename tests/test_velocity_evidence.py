@@ -1,0 +1,100 @@
+"""Refused velocities: which explanation they speak for, against a dense computation and in missions."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from test_alternatives import since
+from test_shifts import SHIFT_S, long_dive
+
+import navfilter as nf
+from navfilter.evaluation.diagnostics import doubts
+from navfilter.evaluation.fix_reacquisition import evidence
+from navfilter.faults.velocity_evidence import _regression
+
+COLUMNS = 5
+SDS = np.array([0.5, 2.0])
+
+
+def sums_of(X, r):
+    whole = np.column_stack([X, r])
+    return whole.T @ whole
+
+
+@pytest.mark.parametrize("scale", [0.5, 3.0])
+def test_gain_is_that_of_the_dense_marginal_likelihood(scale):
+    """With the scale of the noise that makes the explanation likeliest, and the one that makes noise alone likeliest:
+    where the explanation leaves less than the white noise, that is 1.
+    """
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(40, COLUMNS))
+    r = X[:, [1, 3]] @ [1.5, -2.0] + scale * rng.normal(size=40)
+    found = _regression(sums_of(X, r), 40, [1, 3], SDS)
+
+    def log_likelihood(noise):
+        S = X[:, [1, 3]] @ np.diag(SDS**2) @ X[:, [1, 3]].T + noise * np.eye(40)
+        return multivariate_normal.logpdf(r, np.zeros(40), S)
+
+    alone = max(1.0, float(r @ r) / 40)
+    none = multivariate_normal.logpdf(r, np.zeros(40), alone * np.eye(40))
+    off = r - X[:, [1, 3]] @ found.mean
+    assert found.gain == pytest.approx(log_likelihood(max(1.0, float(off @ off) / 40)) - none, rel=1e-6)
+    assert found.mean == pytest.approx([1.5, -2.0], abs=0.6 * scale)
+
+
+def test_noise_is_explained_by_nothing():
+    rng = np.random.default_rng(4)
+    gains = []
+    for _ in range(200):
+        X, r = rng.normal(size=(20, COLUMNS)), 2.0 * rng.normal(size=20)
+        gains.append(_regression(sums_of(X, r), 20, [1, 3], SDS).gain)
+    assert np.mean(np.exp(gains)) < 1.5  # a Bayes factor of true noise has a mean of one; its scale is fitted here
+    assert _regression(np.zeros((COLUMNS + 1, COLUMNS + 1)), 0, [1, 3], SDS).gain == 0.0
+
+
+def rms(vehicle, mission):
+    track = nf.replay(vehicle, mission)
+    return track, math.sqrt(np.nanmean(np.sum(track.errors(mission.truth).position_n[:, :2] ** 2, axis=1)))
+
+
+def told(vehicle, **wrong):
+    sensors = {name: sensor for name, sensor in vehicle.sensors.items() if name != "gps"}
+    sensors["dvl"] = dataclasses.replace(sensors["dvl"], **wrong)
+    return dataclasses.replace(vehicle, sensors=sensors)
+
+
+@pytest.mark.parametrize("states", [{}, {"lever_arm_sd_m": (0.2, 0.2, 0.2)}])
+def test_a_lever_arm_told_wrongly_is_no_jump_of_the_sensor(states):
+    """Each turn used to make a constant of it, which the next straight leg took for a velocity."""
+    vehicle, mission = long_dive()
+    wrong = told(vehicle, lever_arm_b_m=(3.0, 0.0, 0.0), **states)
+    track, error = rms(wrong, mission)
+    _, right = rms(told(vehicle), mission)
+    every = {k: dataclasses.replace(s, gate_probability=1.0 - 1e-15) for k, s in wrong.sensors.items()}
+    _, ungated = rms(dataclasses.replace(wrong, sensors=every), mission)
+    assert track.counts["jumped"] == 0
+    said = {finding.code for finding in doubts(track, mission, evidence(track))}
+    assert ("arm-or-clock" in said) == (track.counts["arm-or-clock"] > 0) == (not states)  # a state follows by itself
+    assert error < max(1.1 * ungated, 2.0 * right)
+
+
+def test_a_jump_that_begins_in_a_turn_is_told_after_it():
+    """Until then a lever arm explains it as well."""
+    vehicle, mission = long_dive()
+    jumped = since(mission, "dvl", lambda v, age_s, C_nb: v + np.array([0.0, 0.3, 0.0]))
+    track = nf.replay(vehicle, jumped, output_rate_hz=1.0)
+    assert track.counts["jumped"] == 1
+    named = [time_s for time_s, _ in track.error_models["dvl"][1:]]
+    assert SHIFT_S < named[0] < SHIFT_S + 90.0
+
+
+def test_a_unit_runs_away_from_a_velocity_that_nobody_had_tried_for_long():
+    """Half a minute after the start an accelerometer jumps: what moved off from the DVL went on by itself, 450 m."""
+    vehicle, mission = long_dive()
+    imu = mission.streams["imu"]
+    value = imu.value.copy()
+    value[imu.time_s > imu.time_s[0] + 40.0, 4] += 0.3
+    _, error = rms(told(vehicle), mission.with_stream("imu", dataclasses.replace(imu, value=value)))
+    assert error < 25.0
