@@ -211,11 +211,11 @@ def _regression(sums: Array, count: int, places: list[int], sds: Array) -> Expla
         return Explanation(0.0, np.zeros(len(places)), np.diag(sds**2))
     alone = noise = max(1.0, c / count)
     for _ in range(settings.ROUNDS):
-        V = np.linalg.inv(A / noise + np.diag(sds**-2))
+        V = np.linalg.inv(A / noise + np.diag(1.0 / sds**2))
         m = V @ b / noise
         noise = max(1.0, float(c - 2.0 * m @ b + m @ A @ m) / count)
-    V = np.linalg.inv(A / noise + np.diag(sds**-2))
+    V = np.linalg.inv(A / noise + np.diag(1.0 / sds**2))
     m = V @ b / noise
     occam = np.linalg.slogdet(V)[1] - 2.0 * float(np.log(sds).sum())
     gain = 0.5 * ((float(b @ m) - c) / noise + c / alone - count * math.log(noise / alone) + occam)
-    return Explanation(gain, m, V)
+    return Explanation(gain, m, np.asarray(V, dtype=np.float64))
