@@ -122,7 +122,7 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
     kept = channel.faults
     if not channel.moves or channel.offset or not kept.confirmed(channel.memory.used_s):
         return None
-    kept.evidence = velocity_evidence.with_rejected(filter, channel, reading.time_s)
+    kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
     covered = velocity_evidence.covered(filter, channel)
     if covered is None:
         return None
@@ -132,7 +132,9 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
         yield Inflate(places, places, covariance)
         kept.evidence = None  # what it told is the states' now
     yield Count("arm-or-clock")
+    refused = kept.refused
     yield from _readmit(filter, channel, reading.time_s)
+    kept.refused = refused  # let in so, it ends no run: the next one has not jumped at once
     return True
 
 

@@ -23,7 +23,7 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import strapdown
 from navfilter.models.fault_bias import SCALE
 
-__all__ = ["VelocityEvidence", "covered", "describes", "with_rejected"]
+__all__ = ["VelocityEvidence", "covered", "describes", "with_refused"]
 
 Array = NDArray[np.float64]
 #: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock.
@@ -58,7 +58,7 @@ class VelocityEvidence:
     row: Array
 
 
-def with_rejected(filter: FilterState, channel: Channel, time_s: float) -> VelocityEvidence:
+def with_refused(filter: FilterState, channel: Channel, time_s: float) -> VelocityEvidence:
     """The sums with the reading that has just been refused.
 
     Parameters
