@@ -55,8 +55,8 @@ def make_usable(say: Say) -> None:
     """
     from numba import config
 
-    from navfilter.kernels import SHIPPED
     from navfilter.kernels.compiling.progress import is_compiled
+    from navfilter.kernels.compiling.shipped import SHIPPED
 
     try:
         folder = _folder()

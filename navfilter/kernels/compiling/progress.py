@@ -12,8 +12,8 @@ from typing import Any
 
 from numba.core import event
 
-from navfilter.kernels import SHIPPED
 from navfilter.kernels.compiling.decorators import checksum
+from navfilter.kernels.compiling.shipped import SHIPPED
 
 __all__ = ["announce_each", "count_announced", "expect", "is_compiled", "kernel_count", "show_compilation"]
 
