@@ -120,10 +120,10 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
     """
     yield from ()
     kept = channel.faults
-    if not channel.moves or channel.offset or not kept.confirmed(channel.memory.used_s):
+    if not (filter.inertial and channel.moves and kept.confirmed(channel.memory.used_s)) or channel.offset:
         return None
     kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
-    covered = velocity_evidence.covered(filter, channel)
+    covered = velocity_evidence.covered(channel)
     if covered is None:
         return None
     places, covariance, white = covered

@@ -103,7 +103,7 @@ def describes(channel: Channel) -> bool:
     )
 
 
-def covered(filter: FilterState, channel: Channel) -> tuple[slice, Array, Array] | None:
+def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
     """What a wrong description that explains the refused velocities adds to let the last of them in; None where it does
     not explain them, or not this one.
 
