@@ -1,8 +1,8 @@
 """The figures of the README and the manual: `python docs/figures.py FOLDER [--make]`.
 
-FOLDER holds what the commands of the page "Post-processing, step by step" write; --make runs them there before. Then
-sections of their reports are photographed as a browser shows them (chromium, chromedriver and Selenium). Where
-``navfilter demo`` has written there, too, the figure of the README is taken from its comparison.
+FOLDER holds what the commands of the page "Post-processing, step by step" write; --make runs them there before. Where
+they are there, sections of their reports are photographed as a browser shows them (chromium, chromedriver and
+Selenium). Where ``navfilter demo`` has written there, the figure of the README is taken from its comparison.
 """
 
 import argparse
@@ -98,6 +98,7 @@ if __name__ == "__main__":
     for command in commands() if options.make else ():
         # a verdict is a code of its own
         assert subprocess.run(command.split(), cwd=options.folder).returncode in (0, 1), command
-    photograph(options.folder)
     if (options.folder / "navfilter-demo" / "comparison" / "report.html").exists():
         readme(options.folder / "navfilter-demo" / "comparison" / "report.html")
+    if all((options.folder / run / "report.html").exists() for run, *_ in SHOTS.values()):
+        photograph(options.folder)
