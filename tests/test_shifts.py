@@ -21,7 +21,7 @@ from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_veh
 from navfilter.simulation.simulate import simulate
 
 DEG_H = math.pi / 180.0 / 3600.0
-END_S, DIVE_S, SHIFT_S = 470.0, 140.0, 200.0
+END_S, DIVE_S, SHIFT_S = 490.0, 140.0, 200.0
 
 
 @functools.cache
@@ -169,14 +169,13 @@ def test_a_state_that_is_set_anew_begins_the_looks_anew():
 
 
 def ramp(heading, extra, since=4, sd=0.01, seed=1):
-    """What looks along these headings say of a ramp: its slope [rad/s], in standard deviations."""
+    """Log odds that looks along these headings show a ramp of -1.5e-3 rad/s."""
     time_s = bias_drift.EVERY_S * np.arange(len(heading))
-    noise = sd * np.random.default_rng(seed).normal(size=len(heading))
-    apart = 3.0 + 1e-5 * time_s + noise + extra(time_s)
+    rng = np.random.default_rng(seed)
+    apart = 3.0 + 1e-5 * time_s + sd * rng.normal(size=len(heading)) + extra(time_s)
     apart = (apart + np.pi) % (2.0 * np.pi) - np.pi
     covariance = sd**2 * np.eye(len(heading))
-    slope, variance = bias_drift.ramp_beyond_deviation(time_s, heading, apart, covariance, time_s[since], (2e-5) ** 2)
-    return slope, slope / math.sqrt(variance)
+    return bias_drift.odds_of_ramp(time_s, heading, apart, covariance, time_s[since], (2e-5) ** 2, -1.5e-3)
 
 
 HEADINGS = {
@@ -196,9 +195,22 @@ def test_a_deviation_is_no_ramp(name, seed):
         return 0.3 * np.sin(heading + seed) + 0.05 * np.cos(2.0 * heading)
 
     def shifted(time_s):
-        return deviation(time_s) - 1e-3 * np.maximum(time_s - time_s[4], 0.0)
+        return deviation(time_s) - 1.5e-3 * np.maximum(time_s - time_s[4], 0.0)
 
-    assert ramp(heading, deviation, seed=seed)[1] ** 2 < fault_settings.BEYOND
+    assert ramp(heading, deviation, seed=seed) < fault_settings.JUMP_ODDS
     if name != "half a turn":  # there nobody can tell
-        slope, sds = ramp(heading, shifted, seed=seed)
-        assert slope == pytest.approx(-1e-3, rel=0.3) and sds**2 > fault_settings.BEYOND
+        assert ramp(heading, shifted, seed=seed) > fault_settings.JUMP_ODDS
+
+
+@pytest.mark.parametrize("tau_s", [30.0, 100.0, 300.0])
+def test_a_slow_error_that_nobody_described_is_no_ramp(tau_s):
+    # the description has a third of the error, and all of it white
+    gain, found = math.exp(-bias_drift.EVERY_S / tau_s), 0
+    for seed in range(60):
+        rng, error = np.random.default_rng(seed), [0.0]
+        for _ in range(16):
+            error.append(gain * error[-1] + 0.03 * math.sqrt(1.0 - gain**2) * rng.normal())
+        found += (
+            ramp(HEADINGS["legs"], lambda time_s, error=error: np.array(error), seed=seed) > fault_settings.JUMP_ODDS
+        )
+    assert found <= 1

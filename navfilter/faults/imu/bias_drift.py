@@ -141,37 +141,50 @@ def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: flo
     noise = later[np.abs(np.subtract.outer(heard, heard))] + float(compass.white[north, north]) * np.eye(len(heard))
     time_s, heading, apart = looks[heard][:, [TIME_S, HEADING, APART]].T
     since_s, before = float(looks[row, TIME_S]), float(looks[row, VARIANCE + axis])
-    slope, variance = ramp_beyond_deviation(time_s, heading, apart, noise, since_s, before)
-    return slope * size < 0.0 and slope**2 > settings.BEYOND * variance
+    shift = size / settings.DRIFT_OPENED
+    return odds_of_ramp(time_s, heading, apart, noise, since_s, before, -shift) > settings.JUMP_ODDS
 
 
-def ramp_beyond_deviation(
-    time_s: Array, heading: Array, apart: Array, noise: Array, since_s: float, bias: float
-) -> tuple[float, float]:
-    """By how much a compass runs away from gyros since a look [rad/s], and the variance of that, beside any deviation.
+def odds_of_ramp(
+    time_s: Array, heading: Array, apart: Array, noise: Array, since_s: float, bias: float, slope: float
+) -> float:
+    """Log odds that a compass has run away from gyros along a ramp since a look, against that it has not.
+
+    Both hypotheses allow any deviation, and an error that is described wrongly: a Gauss-Markov process of unknown size
+    and time constant comes on top of the description. The marginal likelihood of each is the mean over those.
 
     Parameters
     ----------
     time_s, heading, apart : ndarray, shape (k,)
         Of the looks [s]; by the compass; that less how far the gyros have turned [rad].
     noise : ndarray, shape (k, k)
-        Covariance of the compass.
+        Covariance of the compass by its description [rad^2].
     since_s : float
         Time of the look.
     bias : float
-        Variance of what the gyros' bias was before.
+        Variance of what the gyros' bias was before [rad^2/s^2].
+    slope : float
+        Of the ramp, as the estimate of the bias suggests; as uncertain as it is large [rad/s].
+
+    Returns
+    -------
+    float
+        [nat]
     """
     apart, age = np.unwrap(apart), time_s - time_s[-1]
-    S = noise + settings.UNKNOWN**2 + bias * np.outer(age, age)
+    known = noise + settings.UNKNOWN**2 + bias * np.outer(age, age)
     for k, sd in enumerate(settings.DEVIATION, 1):
-        S = S + sd**2 * np.cos(k * (heading[:, None] - heading))
-    ramp = np.maximum(time_s - since_s, 0.0)
-    weights = np.linalg.solve(S, np.column_stack([ramp, apart - apart[-1]]))
-    information = float(ramp @ weights[:, 0])
-    slope = float(ramp @ weights[:, 1]) / information
-    left = apart - apart[-1] - slope * ramp
-    larger = max(1.0, float(left @ np.linalg.solve(S, left)) / max(len(time_s) - 2, 1))
-    return slope, larger / information
+        known = known + sd**2 * np.cos(k * (heading[:, None] - heading))
+    lags = np.abs(np.subtract.outer(age, age))
+    S = np.array([known + sd**2 * np.exp(-lags / tau_s) for sd in (0.0, *settings.LEVELS) for tau_s in settings.TAUS_S])
+    ramp = slope * np.maximum(time_s - since_s, 0.0)
+    off = apart - apart[-1]
+
+    def evidence(S: Array, off: Array) -> float:
+        nis = np.einsum("i,kij,j->k", off, np.linalg.inv(S), off)
+        return float(np.logaddexp.reduce(-0.5 * (nis + np.linalg.slogdet(S)[1])))
+
+    return evidence(S + np.outer(ramp, ramp), off - ramp) - evidence(S, off)
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
