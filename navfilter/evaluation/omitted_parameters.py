@@ -57,9 +57,8 @@ FOUND, WORTH_SAYING = 4.0, 2.0
 #: One that is beyond so many of what such constants usually are has another cause: an axis, a sign, a unit.
 TOO_FAR = 6.0
 #: Where a sensor still scatters by more than this (NIS) its noise is described wrong, and tells constants that are
-#: none. So do readings whose clock is in doubt, where they scatter by less than the second: noise of the motion is in
-#: them and in what they are held against, and only what others say counts.
-SCATTERS, CALM = 2.0, 0.5
+#: none.
+SCATTERS = 2.0
 #: A rejected reading counts as one so far off (NIS over its components): how far it really is, nobody knows.
 REJECTED = 20.0
 #: A track that goes elsewhere by less than this (mean square, in predicted variances) is what it was: a remark.
@@ -280,7 +279,7 @@ def _standing_out(run: Track, mission: Mission, everything: Vehicle) -> list[tup
     described_ones = [k for k, one in enumerate(constants) if one.name in own]
     without = _evidence(J, i, sd, described_ones)
     scored = sorted(((_evidence(J, i, sd, [*described_ones, *c.at]) - without, c) for c in causes), reverse=True)
-    ruins = any(run.counts.get(event, 0) for event in ("reset", "jumped", "opened", "contradicted"))
+    ruins = any(run.counts.get(event, 0) for event in ("reset", "jumped", "opened", "contradicted", "arm-or-clock"))
     least = max(WORTH_IN_RUINS if ruins else WORTH_A_TRIAL, AS_WELL * scored[0][0])
     tried = scored[:TRIED]
     # the constant error of a heading is tried in any case, see `CONSTANT_HEADING`
@@ -347,7 +346,8 @@ def _tried(
 
 
 def _rejected(run: Track) -> int:
-    return sum(r.count("rejected") for r in run.residuals.values())
+    """Readings that contradicted the run: those that were let in with what a wrong description makes of them, too."""
+    return sum(r.count("rejected") for r in run.residuals.values()) + run.counts.get("arm-or-clock", 0)
 
 
 def _nis(r: Residuals) -> float:
@@ -355,16 +355,11 @@ def _nis(r: Residuals) -> float:
 
 
 def _gain(before: Track, after: Track) -> float:
-    """Logarithm of how much likelier the readings are in the second run; but those whose own clock is in doubt and that
-    scatter by less than they should.
-    """
+    """Logarithm of how much likelier the readings are in the second run."""
     total = 0.0
     for name, r in before.residuals.items():
         other = after.residuals.get(name)
         if other is None or len(other.time_s) != len(r.time_s):
-            continue
-        sensor = after.vehicle.sensors.get(name)
-        if sensor is not None and sensor.time_offset_sd_s and _nis(other) < CALM:
             continue
         both = np.isfinite(r.nis) & np.isfinite(other.nis) & (_judged(r) & _judged(other))
         total += float(np.sum(_likelihood(other)[both] - _likelihood(r)[both]))
