@@ -47,7 +47,7 @@ class Capture:
     """
 
     #: Parts of the twin that are noted.
-    PARTS = ("discount_heading", "predict", "update", "turn_velocity", "turn_tilts", "turn_current")
+    PARTS = ("attitude_second_order", "predict", "update", "turn_velocity", "turn_tilts", "turn_current")
 
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
@@ -112,15 +112,18 @@ class Capture:
         self.samples += [self._full(F, Q) for F, Q in self._single]
         self._single = []
 
-    def discount_heading(self, P, acc, nav, own, work=None):
-        """Of the single samples the first takes it: the heading's error is one from the fold before on."""
+    def attitude_second_order(self, P, acc, nav, own, work=None):
+        """Of the single samples the first takes it: the heading's error is one from the fold before on. The last has
+        the noise.
+        """
         m = acc.shape[1]
-        before = acc[:m].copy()
-        self.twins["discount_heading"](P, acc, nav, own)
+        before = acc[: 2 * m].copy()
+        self.twins["attitude_second_order"](P, acc, nav, own)
         if self._single:
             X, (F, Q) = np.eye(m), self._single[0]
             X[:9, 8] += np.linalg.solve(before[:9, :9], acc[:9, 8] - before[:9, 8])
             self._single[0] = F @ X, Q
+            self._single[-1][1][:] += acc[m : 2 * m] - before[m:]
 
     def fold(self, P, acc, nav, work):
         m = acc.shape[1]

@@ -839,9 +839,13 @@ def turns_with_heading(P, velocity):
     return P[3:5, 8] @ across >= 0.5 * P[8, 8] * across @ across
 
 
-def discount_heading(P, acc, nav, own, work=None):
-    """The slope of velocity and position by the heading, shrunk by the variance of the change of velocity."""
-    m = acc.shape[1]
+def attitude_second_order(P, acc, nav, own, work=None):
+    """Noise of the vertical velocity by the tilt squared; and the slope of velocity and position by the heading, shrunk
+    by the variance of the change of velocity.
+    """
+    m, tilt = acc.shape[1], P[6:8, 6:8]
+    fourth = np.trace(tilt) ** 2 + 2.0 * np.trace(tilt @ tilt)
+    acc[m + 5, 5] += 0.25 * 9.7803253359**2 * math.sqrt(6378137.0 / 9.7803253359) * acc[2, 5] * fourth
     J = acc[3:5] - np.eye(2, m, 3)
     J[:, 8] = 0.0
     variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]
@@ -854,7 +858,7 @@ def discount_heading(P, acc, nav, own, work=None):
 def present(P, acc, nav, inertial, own, work, out):
     P, acc = P.copy(), acc.copy()
     if inertial:
-        discount_heading(P, acc, nav, own)
+        attitude_second_order(P, acc, nav, own)
     fold(P, acc, nav.copy(), None)
     out[:] = np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
 
@@ -2019,7 +2023,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     held_from, held_to = spot[29:31]
     mem, places_, xd = bench[begin:cfg], memory_offsets(dims), x[: m - 9]
     if drv[126]:
-        discount_heading(P, acc, nav, drv[142])
+        attitude_second_order(P, acc, nav, drv[142])
     if not spot[33]:
         store_transition(acc, mem)
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)

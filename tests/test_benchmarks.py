@@ -32,6 +32,7 @@ SCRIPTS = {
     "gliders": ("plain dead reckoning", ()),
     "gnss_heading": ("no other software", ()),
     "gnss_ins": ("KF-GINS", ()),
+    "demo_seeds": ("gm1-fitted", ()),
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
     "honest_constants": ("no other software", ()),

@@ -104,6 +104,21 @@ def test_fixes_tell_their_clock_by_motion_alone():
     assert np.all(np.mean(square, axis=0) < 3.0) and np.mean(np.square(off)) < 8.0, (square, off)
 
 
+def test_a_depth_gauge_tells_an_unaided_unit_no_tilt():
+    """Five minutes of a micromechanical unit beside depth alone. What it thinks to be accelerated by comes of its tilt:
+    where that told the tilt, by the depth, velocities were off by six standard deviations.
+    """
+    vehicle, square = survey_vehicle(mems=True), []
+    lost = Faults(dropouts=((150.0, 460.0),))
+    faults = {"gps": Faults(available=((0.0, 100.0),)), "dvl": lost, "compass": lost}
+    for seed in range(6):
+        mission = simulate(vehicle, survey(460.0, surface_s=60.0), seed=seed, duration_s=460.0, faults=faults)
+        track = nf.replay(vehicle, mission, output_rate_hz=1.0)
+        error, P = track.errors(mission.truth).velocity_n[-20, :2], track.covariance[-20, 3:5, 3:5]
+        square.append(error @ np.linalg.solve(P, error) / 2.0)
+    assert np.mean(square) < 2.2, square  # beyond 1 of 100 honest means of six
+
+
 @pytest.mark.parametrize("inertial", [1.0, 0.0])
 def test_a_lever_arm_is_only_considered_where_no_slope_stands_out(inertial):
     rng = np.random.default_rng(2)

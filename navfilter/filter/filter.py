@@ -275,7 +275,7 @@ class Filter:
         """Fold the compound transition into P."""
         memory = self.memory
         if self.inertial:
-            consistency.discount_heading(
+            consistency.attitude_second_order(
                 memory.P, memory.acc, memory.nav, memory.drv[strapdown.OWN], self._work.reshape(-1)
             )
         transition = memory.acc[: self.layout.head].copy()

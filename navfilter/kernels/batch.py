@@ -231,7 +231,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
     places = kalman.memory_offsets(dims)
     if drv[strapdown.INERTIAL] != 0.0:
-        consistency.discount_heading(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
+        consistency.attitude_second_order(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
     if not spot[UNHEARD]:
         kalman.store_transition(acc, mem)
     kalman.predict(P, nav, x, acc, model, mem, dims, count)
@@ -316,7 +316,7 @@ def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, 
 
     xd: the first of x, those of the drive. rows (r, w): nav, x, then the lower triangle of P or its first nine rows
     and columns and the rest of its diagonal, as `kalman.present` gives them where samples have not been folded yet.
-    info (r, 2): time, and after how many records. inertial, own: see `consistency.discount_heading`.
+    info (r, 2): time, and after how many records. inertial, own: see `consistency.attitude_second_order`.
     """
     at, n = cursor[ROWS], P.shape[0]
     if now[TIME_S] == now[ROW_S] and at > 0:
@@ -456,7 +456,7 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
         now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
         if cursor[UNFOLDED] >= every:
             if inertial:
-                consistency.discount_heading(P, acc, nav, own, work[m * m :])
+                consistency.attitude_second_order(P, acc, nav, own, work[m * m :])
             transition = flat(acc)
             for i in range(m * m):
                 head[i] = transition[i]

@@ -32,6 +32,9 @@ UNREAD = 3.0
 FOLLOWED = 0.02
 #: Mean square of half a cube, in cubes of the variance [1]: by so much the cosine of an azimuth changes its slope.
 CUBE = 15.0 / 4.0
+#: Power of half of g times a tilt squared, by the mean square of that: a tilt lasts for Schuler's time, the root of
+#: R / g, at most [m^2/s^3].
+TILT_SQUARED = 0.25 * strapdown.GRAVITY_EQUATOR**2 * math.sqrt(strapdown.EARTH_RADIUS / strapdown.GRAVITY_EQUATOR)
 #: That of a place by its clock: fixes of centimetres had a NEES of 2.4 by this, of 4.6 by 0.02, of 2.3 by 0 [1].
 STEADY = 0.002
 #: Rates and forces are means over this time: what vibrates faster is no motion [s].
@@ -226,19 +229,24 @@ def turns_with_heading(P, north, east):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def discount_heading(P, acc, nav, own, work):
-    """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
-    the change of velocity is known by which it does so.
+def attitude_second_order(P, acc, nav, own, work):
+    """Before a fold of an inertial drive: what its linear transition leaves out of errors of the attitude.
 
-    A heading error turns that change. But an error of tilt or of an accelerometer looks like one too, and as much of
-    its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
-    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
+    A tilt takes g / 2 times its square from the vertical force. It lasts, and a depth gauge that sees the height fall
+    would tell tilt and velocities by it. So the vertical velocity gets white noise with the power that this has at low
+    frequencies, `TILT_SQUARED` times the mean square of the squared tilt.
+
+    A heading error turns the change of velocity. But an error of tilt or of an accelerometer looks like one too, and as
+    much of its square as that has variance would be information about the heading out of nothing: errors in variables
+    (Fuller, 1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
 
     Not where the velocity turns with the heading before the fold, own: see `turns_with_heading`. What was felt wrongly
     is in that velocity, too, and turned by the same heading error. Nor beside a log (own 2): as much as is taken here
     from what turns with the heading would be news to it, for it reads how the velocity changes in the vehicle's axes.
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
+    xx, yy, xy = P[6, 6], P[7, 7], P[6, 7]
+    acc[m + 5, 5] += TILT_SQUARED * acc[2, 5] * (3.0 * (xx * xx + yy * yy) + 2.0 * xx * yy + 4.0 * xy * xy)
     if own > 1.0 or (own != 0.0 and turns_with_heading(P, nav[3] - east, nav[4] + north)):
         return
     variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]

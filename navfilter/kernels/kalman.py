@@ -62,12 +62,13 @@ def _reach(row, i):
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, nav, inertial, own, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
-    other states (n - 9). inertial, own: whether the heading is discounted before. work: 9 (2m + 9).
+    other states (n - 9). inertial, own: whether `consistency.attitude_second_order` comes before. work: 9 (2m + 9).
     """
     m, n = acc.shape[1], P.shape[0]
-    kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
+    heading = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
+    down = acc[m + 5, 5]
     if inertial:
-        consistency.discount_heading(P, acc, nav, own, work)
+        consistency.attitude_second_order(P, acc, nav, own, work)
     T, A, head = shaped(work[: 9 * m], 9, m), shaped(work[9 * m :][: 9 * m], m, 9), work[18 * m :][:81]
     head = shaped(head, 9, 9)
     _navigation(P, acc, T, A, head)
@@ -87,7 +88,8 @@ def present(P, acc, nav, inertial, own, work, out):
         out[72 + i] = s
     for i in range(m, n):
         out[72 + i] = P[i, i]
-    acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = kept0, kept1, kept3, kept4
+    acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = heading
+    acc[m + 5, 5] = down
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -74,7 +74,7 @@ CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 OF_READING, BY_AXIS = np.arange(18) // 3, np.arange(18) // 9 * 3 + np.arange(18) % 3
 # Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
 CURRENT = 125
-# 1: accelerations carry the velocity, see `consistency.discount_heading`.
+# 1: accelerations carry the velocity, see `consistency.attitude_second_order`.
 INERTIAL = 126
 # Dead reckoning: the way made by its own readings, north and east [m], whatever has been corrected since; for how long
 # there has been no attitude, and no velocity [s]; for how long the three angles have been the same to the last bit, and

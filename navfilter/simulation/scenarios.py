@@ -230,20 +230,6 @@ def _fill(
     return build(repeats, max(duration_s - build(repeats).duration_s, 0.0))
 
 
-def _survey_faults(duration_s: float) -> dict[str, Faults]:
-    lost = tuple(
-        (share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0))
-    )
-    return {
-        "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
-        "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5, quantisation=1e-3),
-        "compass": Faults(
-            _swinging_compass(), quantisation=0.1 * _DEG, outlier_probability=0.002, outlier_sd=20.0 * _DEG
-        ),
-        "depth": Faults(quantisation=0.01),
-    }
-
-
 def _gps_at_surface(duration_s: float) -> dict[str, Faults]:
     return {"gps": Faults(available="surface")}
 
@@ -270,10 +256,32 @@ def _oscillating_vehicle() -> Vehicle:
 
 
 def _demo_vehicle() -> Vehicle:
-    """Believes in a slow error of the compass, with a white part because it reads in steps of 0.1 deg; really the
-    compass swings too.
+    """Believes its compass as a data sheet puts it, accurate to a degree, and knows that it deviates with the heading;
+    really its error is slow, too.
     """
-    return survey_vehicle().with_error(compass=COMPASS + White(sd=0.1 * _DEG))
+    plain = survey_vehicle()
+    compass = Heading(
+        rate_hz=8.0, error=White(sd=1.0 * _DEG), bias_sd_rad=0.5 * _DEG, deviation_sd_rad=(1.0 * _DEG, 0.0)
+    )
+    return Vehicle(plain.drive, {**plain.sensors, "compass": compass}, name=plain.name)
+
+
+def _demo_faults(duration_s: float) -> dict[str, Faults]:
+    lost = tuple(
+        (share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 180.0), (0.7, 30.0))
+    )
+    return {
+        "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
+        "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5, quantisation=1e-3),
+        "compass": Faults(
+            GaussMarkov(sd=1.0 * _DEG, tau_s=300.0) + White(sd=0.5 * _DEG),
+            deviation_rad=(0.0, 0.6 * _DEG, 0.8 * _DEG, 0.0, 0.0),
+            quantisation=0.1 * _DEG,
+            outlier_probability=0.002,
+            outlier_sd=20.0 * _DEG,
+        ),
+        "depth": Faults(quantisation=0.01),
+    }
 
 
 def _gain(ar: tuple[float, float]) -> float:
@@ -321,8 +329,8 @@ def _one_silent(duration_s: float) -> dict[str, Faults]:
 #: The scenarios by name.
 SCENARIOS: dict[str, Scenario] = {
     "demo": Scenario(
-        "one hour: fixes at the surface, dive, lawnmower, DVL dropouts, outliers, a compass that swings, surfacing",
-        _demo_vehicle, survey, _survey_faults, 3600.0, StartErrors(position_sd_m=(3.0, 3.0, 0.5), heading_sd_deg=2.0),
+        "one hour: fixes, dive, lawnmower, outliers, a DVL lost for minutes, a compass that errs slowly, surfacing",
+        _demo_vehicle, survey, _demo_faults, 3600.0, StartErrors(position_sd_m=(3.0, 3.0, 0.5), heading_sd_deg=2.0),
     ),
     "lawnmower": Scenario("fixes, dive, lawnmower, surfacing, fixes", survey_vehicle, lawnmower, _gps_at_surface),
     "transit": Scenario("fixes, dive, straight transit, surfacing, fixes", survey_vehicle, transit, _gps_at_surface),
