@@ -91,3 +91,15 @@ def in_blocks(nav: Navigator, events: Iterable[Event], rng: np.random.Generator,
         while len(block):
             part, block = np.split(block, [int(rng.integers(1, longest + 1))])
             nav.step(part[:, 0], part[:, 1:4], part[:, 4:])
+
+
+def fed(nav: Navigator, events: Iterable[Event]) -> np.ndarray:
+    """As `one_by_one`; returns the navigation state after each reading."""
+    rows = []
+    for event in events:
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+        else:
+            nav.correct(event.sensor, event.time_s, event.value)
+            rows.append(nav.filter.nav.copy())
+    return np.array(rows)

@@ -118,11 +118,13 @@ def test_a_sensor_without_a_mirror_is_refused():
         mirrored(with_usbl, mission, mission.start)
 
 
-def test_the_command(tmp_path, capsys):
+@pytest.mark.parametrize("more", [["--no-report"], []], ids=["no-report", "report"])
+def test_the_command(tmp_path, capsys, more):
     vehicle, mission = simulate_scenario("reckoning", 1, 200.0)
     mission.save(tmp_path / "m.npz")
     write_vehicle(vehicle, tmp_path / "vehicle.toml")
     arguments = ["replay", str(tmp_path / "m.npz"), "--vehicle", str(tmp_path / "vehicle.toml"), "--smooth"]
-    assert main([*arguments, "--backward", "--out", str(tmp_path / "out")]) == 0
+    assert main([*arguments, *more, "--backward", "--out", str(tmp_path / "out")]) == 0
     assert "forward and backward run, independent of each other, differ by" in capsys.readouterr().out
-    assert "Forward and backward" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    if not more:
+        assert "Forward and backward" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

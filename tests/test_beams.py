@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import same_runs
 from feeding import delayed, events_of, one_by_one
+from honest_runs import assert_honest
 from scipy.stats import chi2
 
 import navfilter as nf
@@ -95,14 +96,7 @@ def test_two_beams_still_help():
 @pytest.mark.parametrize("lost", [(), (2,), (0, 2)])
 def test_the_covariance_is_honest(lost):
     """NEES at the end of the way without fixes and in its middle, of all seeds together."""
-    for time_s in (180.0, 299.0):
-        sums = {"position": 0.0, "velocity": 0.0}
-        for mission, track in runs(lost):
-            at = int(np.searchsorted(track.time_s, time_s))
-            figures = track.nees(track.errors(mission.truth))
-            sums = {name: value + 3.0 * figures[name][at] for name, value in sums.items()}
-        low, high = chi2.ppf([0.0005, 0.9995], 3 * len(SEEDS))  # twelve figures
-        assert all(low < value < high for value in sums.values()), (lost, time_s, sums, low, high)
+    assert_honest(runs(lost), 180.0, 299.0)
 
 
 def test_scale_and_misalignment_come_out():

@@ -87,20 +87,15 @@ print(json.dumps(said))
 """
 
 
-@pytest.fixture(scope="module")
-def helped():
+def test_every_script_says_what_it_does_and_against_what():
     commands = [f"{name}.py {part}".strip() for name, (_, parts) in SCRIPTS.items() for part in ("", *parts)]
-    return json.loads(ended("-c", ASK, json.dumps(commands)))
-
-
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_every_script_says_what_it_does_and_against_what(helped, name):
-    competitor, parts = SCRIPTS[name]
-    code, text = helped[f"{name}.py"]
-    assert code == 0 and competitor in text and all(part in text for part in parts)
-    for command in [f"{name}.py {part}" for part in parts] or [f"{name}.py"]:
-        code, text = helped[command]
-        assert code == 0 and "--json PATH" in text and "--quick" in text, command
+    helped = json.loads(ended("-c", ASK, json.dumps(commands)))
+    for name, (competitor, parts) in SCRIPTS.items():
+        code, text = helped[f"{name}.py"]
+        assert code == 0 and competitor in text and all(part in text for part in parts), name
+        for command in [f"{name}.py {part}" for part in parts] or [f"{name}.py"]:
+            code, text = helped[command]
+            assert code == 0 and "--json PATH" in text and "--quick" in text, command
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The clock of the drive alone is set, or that of all, or the drive was silent: told apart by the order of arrival."""
 
 import math
+from functools import cache
 
 import faults_run as watched
 import numpy as np
@@ -15,10 +16,17 @@ from navfilter.simulation.scenarios import simulate_scenario
 SET_S, END_S = 12.0, 20.0
 
 
+@cache
+def scene(name, seconds):
+    """Vehicle, mission, its events; and the run as it is, with which nobody goes on."""
+    vehicle, mission = simulate_scenario(name, 2, seconds)
+    events = events_of(vehicle, mission)
+    return vehicle, mission, events, flown(vehicle, mission, events)[0]
+
+
 @pytest.fixture(scope="module", params=["lawnmower", "reckoning"])
 def dive(request):
-    vehicle, mission = simulate_scenario(request.param, 2, END_S if request.param == "lawnmower" else 5 * END_S)
-    return vehicle, mission, events_of(vehicle, mission)
+    return scene(request.param, END_S if request.param == "lawnmower" else 5 * END_S)
 
 
 def stamped(events, by_s, sensors=(DRIVE,), from_s=SET_S):
@@ -38,10 +46,9 @@ def flown(vehicle, mission, events):
 
 @pytest.mark.parametrize("by_s", [2.0, -2.0, 45.0, -45.0, 7200.0, -7200.0])
 def test_a_clock_that_was_set_alone_costs_nothing(dive, by_s):
-    vehicle, mission, events = dive
+    vehicle, mission, events, best = dive
     if abs(by_s) <= 10.0 * vehicle.drive.period_s:
         pytest.skip("no leap for so slow a drive")
-    best, _ = flown(vehicle, mission, events)
     nav, outcomes = flown(vehicle, mission, stamped(events, by_s))
     error = nav.state.minus(best.state)
     # the time from the last sample before to the first one after is taken to be a period
@@ -58,11 +65,10 @@ def test_a_clock_that_was_set_alone_costs_nothing(dive, by_s):
 @pytest.mark.parametrize("stamp_s", [0.0, 1000.0 * SET_S, SET_S + 5.0, SET_S - 5.0])
 def test_a_single_wild_stamp_is_no_clock_that_was_set(dive, stamp_s):
     """All sensors are heard between it and the next sample: their votes are about one stamp."""
-    vehicle, mission, events = dive
+    vehicle, mission, events, best = dive
     at = next(i for i, e in enumerate(events) if e.sensor == DRIVE and e.time_s >= SET_S - 1e-9)
     assert {e.sensor for e in events[at + 1 : at + 3]} - {DRIVE}
     wild = [e._replace(time_s=stamp_s) if i == at else e for i, e in enumerate(events)]
-    best, _ = flown(vehicle, mission, events)
     nav, _ = flown(vehicle, mission, wild)
     assert nav.time_s == best.time_s and nav.health.drive_clock_offset_s == nav.health.clock_offset_s == 0.0
     assert nav.counts["backward"] == 1 and nav.counts["clock-set"] == 0
@@ -72,14 +78,14 @@ def test_a_single_wild_stamp_is_no_clock_that_was_set(dive, stamp_s):
 
 
 def test_one_that_is_put_right_is_as_before(dive):
-    vehicle, mission, events = dive
+    vehicle, mission, events, _ = dive
     nav, _ = flown(vehicle, mission, stamped(stamped(events, 22.0), -22.0, from_s=SET_S + 4.0))
     assert nav.health.drive_clock_offset_s == pytest.approx(0.0, abs=1e-9) and nav.counts["gap"] == 0
 
 
 @pytest.mark.parametrize("by_s", [25.0, -25.0])
 def test_a_clock_that_was_set_for_all_is_no_business_of_the_drive(dive, by_s):
-    vehicle, mission, events = dive
+    vehicle, mission, events, _ = dive
     nav, _ = flown(vehicle, mission, stamped(events, by_s, sensors=()))
     assert nav.health.drive_clock_offset_s == 0.0
     assert nav.counts["gap"] >= 1 and (nav.counts["clock-set"] == 1) == (by_s < 0.0)
@@ -117,7 +123,7 @@ def test_a_pause_of_everything_is_what_it_was():
 
 
 def test_a_wild_stamp_is_none(dive):
-    vehicle, mission, events = dive
+    vehicle, mission, events, _ = dive
     at = next(k for k, e in enumerate(events) if e.sensor == DRIVE and e.true_s > SET_S)
     for by_s in (50.0, -50.0, math.nan):
         nav, _ = flown(vehicle, mission, [*events[:at], events[at]._replace(time_s=SET_S + by_s), *events[at + 1 :]])
@@ -126,7 +132,7 @@ def test_a_wild_stamp_is_none(dive):
 
 
 def test_what_waits_is_in_a_snapshot(dive):
-    vehicle, mission, events = dive
+    vehicle, mission, events, _ = dive
     wrong = stamped(events, 22.0)
     nav = nf.Navigator(vehicle, mission.start, threads=False)
     whole, _ = flown(vehicle, mission, wrong)
@@ -165,8 +171,7 @@ def late(events, by_s, from_s=SET_S, end_s=math.inf):
 
 def test_readings_wait_for_a_drive_that_is_late(dive):
     """Those of the first second are taken beside the last sample; all others as if nothing were late."""
-    vehicle, mission, events = dive
-    best, _ = flown(vehicle, mission, events)
+    vehicle, mission, events, best = dive
     nav, outcomes = flown(vehicle, mission, late(events, 3.0))
     assert not {"ahead", "too-late", "invalid"} & {outcome.status for outcome in outcomes}
     assert nav.health.drive["late"] > 100
@@ -179,7 +184,7 @@ def test_readings_wait_for_a_drive_that_is_late(dive):
 
 
 def test_readings_that_leap_ahead_do_not_wait(dive):
-    vehicle, mission, events = dive
+    vehicle, mission, events, _ = dive
     wrong = [e._replace(time_s=e.time_s + 2.0) if e.sensor != DRIVE and e.true_s >= SET_S else e for e in events]
     nav, outcomes = flown(vehicle, mission, wrong)
     assert sum(outcome.status == "ahead" for outcome in outcomes) > 50 and "late" not in nav.health.drive
@@ -191,9 +196,7 @@ def test_the_clock_of_one_sensor_that_is_set_is_put_right(sensor, by_s):
     """Nothing arrives before it was measured, and nothing in another order: else the state would be carried on to it,
     and believe an old heading; or go on against a velocity that is a second old.
     """
-    vehicle, mission = simulate_scenario("lawnmower", 2, 100.0)
-    events = events_of(vehicle, mission)
-    best, _ = flown(vehicle, mission, events)
+    vehicle, mission, events, best = scene("lawnmower", 100.0)
     wrong = stamped(events, by_s, (sensor,), 40.0)
     nav, outcomes = flown(vehicle, mission, wrong)
     assert nav.clock.memory.ahead[sensor].by_s == pytest.approx(by_s, abs=0.02)
@@ -254,7 +257,7 @@ def test_of_a_drive_that_falls_silent_nothing_waits_for_ever():
 
 
 def test_what_waits_for_a_late_drive_is_in_a_snapshot_and_is_taken_at_the_end(dive):
-    vehicle, mission, events = dive
+    vehicle, mission, events, _ = dive
     wrong = late(events, 3.0)
     whole, _ = flown(vehicle, mission, wrong)
     nav = nf.Navigator(vehicle, mission.start, threads=False)
@@ -282,9 +285,7 @@ def test_the_truth_of_a_long_dive_is_held():
 @pytest.mark.parametrize("sensor", ["compass", "dvl"])
 def test_the_first_readings_of_a_clock_that_was_set_wait_until_that_is_told(sensor):
     """Used at once, they carry the state on without samples, and the next ones are late."""
-    vehicle, mission = simulate_scenario("lawnmower", 2, 80.0)
-    events = events_of(vehicle, mission)
-    best, _ = flown(vehicle, mission, events)
+    vehicle, mission, events, best = scene("lawnmower", 100.0)
     nav, outcomes = flown(vehicle, mission, stamped(events, 1.0, (sensor,), 40.0))
     assert sum(outcome.status == "waiting" for outcome in outcomes) == fault_settings.SET - 1
     assert not nav.clock.memory.early and "late" not in nav.health.drive

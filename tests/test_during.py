@@ -110,17 +110,19 @@ def test_scaled_is_so_many_times_as_large(model):
     assert np.allclose(before.Phi, after.Phi)
 
 
-def test_files_and_command(tmp_path, dive, capsys):
+@pytest.mark.parametrize("more", [["--no-report"], []], ids=["no-report", "report"])
+def test_files_and_command(tmp_path, dive, capsys, more):
     vehicle, mission = dive
     write_vehicle(vehicle, tmp_path / "vehicle.toml")
     said = with_during(mission, During("dvl", to_s=20.0, off=True, why="test"), During("gps", 10.0, noise=2.0))
     said.save(tmp_path / "m.npz")
     assert read_mission(tmp_path / "m.npz").during == said.during
     out = tmp_path / "out"
-    code = main(["replay", str(tmp_path / "m.npz"), "--vehicle", str(tmp_path / "vehicle.toml"), "--out", str(out)])
-    assert code == 0 and "gps@2" in capsys.readouterr().out
-    report = (out / "report.html").read_text(encoding="utf-8")
-    assert "dvl from the beginning to 20 s: off (test)" in report
+    arguments = ["replay", str(tmp_path / "m.npz"), "--vehicle", str(tmp_path / "vehicle.toml"), *more]
+    assert main([*arguments, "--out", str(out)]) == 0 and "gps@2" in capsys.readouterr().out
+    if not more:
+        report = (out / "report.html").read_text(encoding="utf-8")
+        assert "dvl from the beginning to 20 s: off (test)" in report
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"]["forward"]
 
 

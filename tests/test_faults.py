@@ -14,7 +14,7 @@ from navfilter.simulation.scenarios import simulate_scenario
 
 #: What the navigator does not notice, though it survives it: the day it does, the test says so.
 UNNOTICED: dict[str, str] = {}
-WINDOW, FIXES, DURATION_S = (25.0, 45.0), (25.0, 45.0), 60.0
+WINDOW, FIXES, DURATION_S = (15.0, 30.0), (15.0, 30.0), 40.0
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_every_kind_is_survived_and_counted(dive, name):
 def test_a_fault_leaves_everything_outside_its_window_alone(dive):
     """The library itself: what it changes lies in the window, and the events it was given are as they were."""
     vehicle, mission, scene, _ = dive
-    events = [e for e in events_of(vehicle, mission) if 22.0 < e.true_s < 48.0]
+    events = [e for e in events_of(vehicle, mission) if 12.0 < e.true_s < 33.0]
     before = list(events)
     for name in library.KINDS:
         damaged = library.damaged(name, events, scene, 1)

@@ -55,9 +55,8 @@ def test_loglik_equals_statsmodels_at_the_estimate(order):
 
 
 @pytest.mark.parametrize("order", [order for order in TRUTH if order != (10, 10)], ids=str)
-@pytest.mark.parametrize("seed", [1, 2])
-def test_never_a_lower_optimum_than_statsmodels(order, seed):
-    y = nf.simulate_arma(*TRUTH[order], 1.0, 1500, seed=seed)
+def test_never_a_lower_optimum_than_statsmodels(order):
+    y = nf.simulate_arma(*TRUTH[order], 1.0, 1500, seed=1)
     fit = nf.fit_arma(y, *order, trend="none")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

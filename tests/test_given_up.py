@@ -8,7 +8,7 @@ from pathlib import Path
 import naive
 import numpy as np
 import pytest
-from feeding import DRIVE, events_of
+from feeding import events_of, fed
 from scipy.stats import kstest
 
 import navfilter as nf
@@ -150,17 +150,6 @@ def mission():
     prior = nf.LearnedArma(prior=staged.vehicle.sensors["compass"].error, orders=((0, 0), (1, 0), (2, 0)), hop=30)
     recorded = staged.mission(1)
     return staged.vehicle, staged.vehicle.with_error(compass=prior), recorded, events_of(staged.vehicle, recorded)
-
-
-def fed(nav, events):
-    rows = []
-    for event in events:
-        if event.sensor == DRIVE:
-            nav.step(event.time_s, event.value[:3], event.value[3:])
-        else:
-            nav.correct(event.sensor, event.time_s, event.value)
-            rows.append(nav.filter.nav.copy())
-    return np.array(rows)
 
 
 def test_the_run_goes_on_as_if_nothing_had_been_learnt(mission, few_hops):

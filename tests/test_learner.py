@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_channel import DEG, MEMS, PERIOD_S, TACTICAL, gauss_markov, series
 
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.axis_learner import Learner, LearnerMemory
@@ -15,27 +16,10 @@ from navfilter.learning.slow_posterior import Line
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import CORRELATION_CONSTANTS
 from navfilter.models.navigation_drift import Drift
-from navfilter.timeseries.model import ArmaModel, simulate_arma
+from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import add_arma
 
-DEG = math.pi / 180.0
-PERIOD_S = 0.125
-TACTICAL = Drift((0.3 * DEG / 60.0, 0.0), PERIOD_S)
-MEMS = Drift((3.0 * DEG / 60.0, 0.0), PERIOD_S)
 ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
-
-
-def gauss_markov(sd, tau_s, period_s=PERIOD_S):
-    phi = math.exp(-period_s / tau_s)
-    return ArmaModel([-phi], [], sd * math.sqrt(1.0 - phi * phi))
-
-
-def series(parts, drift, n, seed):
-    """The sum of some errors and of a drift with a constant rate."""
-    random = np.random.default_rng(seed)
-    noise = sum(simulate_arma(part.ar, part.ma, part.sd, n, random) for part in parts)
-    step = drift.density[0] * math.sqrt(drift.period_s) if drift.order else 0.0
-    return noise + np.cumsum(step * random.standard_normal(n) + random.standard_normal() * 1e-5)
 
 
 def believing(sd, tau_s=60.0, span_s=500.0, **options):

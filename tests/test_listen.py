@@ -221,7 +221,7 @@ SPACINGS_S = {
 
 
 @pytest.mark.parametrize("name", TRUE)
-@pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
+@pytest.mark.parametrize(("mems", "motion"), SOME)
 def test_beside_the_true_error_there_is_only_the_claimed_drift(mems, motion, name):
     """r-th differences of series minus true error have the claimed variance within a factor of 2, from one tick to 16
     s.

@@ -43,14 +43,12 @@ def test_it_is_the_density_of_the_sums():
     random, n, length = np.random.default_rng(4), 60, 12
     F, Q, C, P, r = random_model(random)
     # states at tick t are F^t x0 and what has come in since
-    states = np.array([np.linalg.matrix_power(F, t + 1) for t in range(n)])
+    powers = [np.linalg.matrix_power(F, t) for t in range(n + 1)]
     cov = np.zeros((n, n))
     for i in range(n):
         for j in range(n):
-            come = sum(
-                np.linalg.matrix_power(F, i - k) @ Q @ np.linalg.matrix_power(F, j - k).T for k in range(min(i, j) + 1)
-            )
-            cov[i, j] = C @ (states[i] @ P @ states[j].T + come) @ C + r * (i == j)
+            come = sum(powers[i - k] @ Q @ powers[j - k].T for k in range(min(i, j) + 1))
+            cov[i, j] = C @ (powers[i + 1] @ P @ powers[j + 1].T + come) @ C + r * (i == j)
     summed = np.kron(np.eye(n // length), np.ones(length))
     y = random.standard_normal(n)
     found, count = sum_likelihood(y, length, 0, F, Q, C, P, r)

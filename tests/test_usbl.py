@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import same_runs
 from feeding import delayed, events_of, one_by_one
+from honest_runs import assert_honest
 from scipy.stats import chi2
 
 import navfilter as nf
@@ -60,14 +61,7 @@ def runs(kind):
 
 @pytest.mark.parametrize("kind", ["known", "uncertain"])
 def test_the_covariance_is_honest(kind):
-    for time_s in (120.0, 249.0):
-        sums = {"position": 0.0, "velocity": 0.0}
-        for mission, track in runs(kind):
-            at = int(np.searchsorted(track.time_s, time_s))
-            figures = track.nees(track.errors(mission.truth))
-            sums = {name: value + 3.0 * figures[name][at] for name, value in sums.items()}
-        low, high = chi2.ppf([0.0005, 0.9995], 3 * len(SEEDS))  # eight figures
-        assert all(low < value < high for value in sums.values()), (kind, time_s, sums, low, high)
+    assert_honest(runs(kind), 120.0, 249.0)
     nis = np.concatenate([track.residuals["usbl"].nis for _, track in runs(kind)])
     assert 0.9 < float(np.mean(nis)) / 3.0 < 1.1  # 1500 readings: sd 0.021
 

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from honest_runs import assert_honest
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
@@ -42,15 +42,8 @@ def runs(kind):
 
 @pytest.mark.parametrize("kind", ["wheels", "course", "velocity"])
 def test_the_covariance_is_honest(kind):
-    for time_s in (60.0, 149.0):
-        sums = {"position": 0.0, "velocity": 0.0}
-        for mission, track in runs(kind):
-            at = int(np.searchsorted(track.time_s, time_s))
-            figures = track.nees(track.errors(mission.truth))
-            sums = {name: value + 3.0 * figures[name][at] for name, value in sums.items()}
-        low, high = chi2.ppf([0.0005, 0.9995], 3 * len(SEEDS))  # twelve figures
-        # nothing slips sideways: with wheels the filter is a little too modest
-        assert all((low if kind != "wheels" else 0.3 * low) < value < high for value in sums.values()), (kind, sums)
+    # nothing slips sideways: with wheels the filter is a little too modest
+    assert_honest(runs(kind), 60.0, 149.0, least=0.3 if kind == "wheels" else 1.0)
     if kind != "wheels":
         nis = np.concatenate([t.residuals["course"].nis / t.residuals["course"].dof for _, t in runs(kind)])
         assert 0.9 < float(np.mean(nis)) < 1.1  # 1800 readings of two components: sd 0.024

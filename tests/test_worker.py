@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from feeding import DRIVE, events_of
+from feeding import DRIVE, events_of, fed
 
 import navfilter as nf
 from navfilter.filter import filter as filter_module
@@ -38,17 +38,6 @@ def mission():
     prior = nf.LearnedArma(prior=staged.vehicle.sensors["compass"].error, orders=((0, 0), (1, 0), (2, 0)), hop=30)
     vehicle = staged.vehicle.with_error(compass=prior)
     return vehicle, staged.mission(1), events_of(vehicle, staged.mission(1))
-
-
-def fed(nav, events):
-    rows = []
-    for event in events:
-        if event.sensor == DRIVE:
-            nav.step(event.time_s, event.value[:3], event.value[3:])
-        else:
-            nav.correct(event.sensor, event.time_s, event.value)
-            rows.append(nav.filter.nav.copy())
-    return np.array(rows)
 
 
 @pytest.fixture

@@ -69,9 +69,12 @@ class Instrument:
             else:
                 drawn = svg(what)
         place = "" if live is None else self._place(live, isinstance(what, Plan))
+        return self._done(figure_html(drawn, caption, place))
+
+    def _done(self, figure: str) -> str:
         if self._progress is not None:
             self._progress()
-        return figure_html(drawn, caption, place)
+        return figure
 
     def _place(self, live: Live, plan: bool) -> str:
         number = len(self._figures)
@@ -96,7 +99,7 @@ class Instrument:
             f'<div class="choice">{menus}</div><div class="keys"><span></span></div><div class="live" '
             f'id="live-{number}" data-figure="{number}" style="min-height:{ANY_HEIGHT}px"></div>'
         )
-        return Section("Any against any", (figure_html(drawn, ANY, place),))
+        return Section("Any against any", (self._done(figure_html(drawn, ANY, place)),))
 
     def scripts(self) -> Scripts:
         """What makes the figures of the page live."""
