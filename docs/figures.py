@@ -9,6 +9,7 @@ import argparse
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -45,6 +46,14 @@ def commands() -> list[str]:
     """Those of the page, in their order."""
     blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     return [line for block in blocks for line in block.splitlines() if line.startswith("navfilter ")]
+
+
+def make(folder: Path) -> None:
+    """Run them in a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for command in commands():
+        if subprocess.run([sys.executable, "-m", *command.split()], cwd=folder).returncode not in (0, 1, 3):
+            raise SystemExit(f"{command}: failed")  # a verdict (1, 3: not judged) has a code of its own
 
 
 def browser():
@@ -95,9 +104,8 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--make", action="store_true", help="run the commands of the page in it first")
     options = parser.parse_args()
-    for command in commands() if options.make else ():
-        # a verdict is a code of its own
-        assert subprocess.run(command.split(), cwd=options.folder).returncode in (0, 1), command
+    if options.make:
+        make(options.folder)
     if (options.folder / "navfilter-demo" / "comparison" / "report.html").exists():
         readme(options.folder / "navfilter-demo" / "comparison" / "report.html")
     if all((options.folder / run / "report.html").exists() for run, *_ in SHOTS.values()):

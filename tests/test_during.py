@@ -13,9 +13,12 @@ from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.periodic_error import Cycle
 from navfilter.models.scaled_errors import larger
+from navfilter.navigation.navigator import Navigator
 from navfilter.playback.instructions import instructed
 from navfilter.playback.replay import replay
+from navfilter.report.marks import outages
 from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.track.trust import spells
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +61,27 @@ def test_noise_is_larger_there_alone(dive):
     assert len(seen.streams["compass"]) + len(seen.streams["compass@2"]) == len(mission.streams["compass"])
     assert seen.during == () and "during: compass from 50 to 60 s: noise x 3; 81 readings" in seen.notes
     assert instructed(new, seen) == (new, seen)
+
+
+def test_a_name_that_others_stand_for_is_not_silent(dive):
+    """An instrument is silent where none of its names is heard; off, it is."""
+    vehicle, mission = dive
+    said = During("dvl", 100.0, 160.0, noise=2.0), During("depth", 200.0, 260.0, off=True)
+    track = replay(vehicle, with_during(mission, *said), output_rate_hz=1.0)
+    assert {spell.reason for spell in spells(track)} == {"depth is silent"}
+    assert [m.label for name in track.residuals for m in outages(track, name) if "gps" not in name] == ["no depth"]
+
+
+def test_nor_is_it_on_board(dive):
+    vehicle, mission = instructed(dive[0], with_during(dive[1], During("dvl", 10.0, noise=2.0)))
+    nav, imu, dvl, told = Navigator(vehicle, mission.start), mission.streams["imu"], dive[1].streams["dvl"], []
+    for t in np.arange(0.25, 26.0, 0.25):
+        inside = (imu.time_s > t - 0.25 + 1e-6) & (imu.time_s <= t + 1e-6)
+        nav.step_samples(np.column_stack([imu.time_s, imu.value])[inside])
+        if t < 18.0:
+            nav.correct("dvl" if t < 10.0 else "dvl@2", t, dvl.value[np.argmin(np.abs(dvl.time_s - t))])
+        told.append(nav.health.trust.reasons)
+    assert told[: 4 * 18] == [()] * 4 * 18 and told[-1] == ("dvl is silent",)
 
 
 def test_instructions_that_overlap_are_put_together(dive):

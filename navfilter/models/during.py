@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["During", "alias", "is_alias"]
+__all__ = ["During", "alias", "is_alias", "same_sensor"]
 
 _ALIAS = re.compile(r".+@\d+")
 
@@ -21,6 +21,18 @@ def alias(name: str, number: int) -> str:
 def is_alias(name: str) -> bool:
     """Whether a sensor stands for another one for a time."""
     return _ALIAS.fullmatch(name) is not None
+
+
+def same_sensor(name: str, names: Iterable[str]) -> list[str]:
+    """Of these names those that one instrument has, one after the other, where this is its own; none for an alias.
+
+    The instrument is silent where none of them is heard, and only its own name says so.
+    """
+    return [] if is_alias(name) else [each for each in names if each == name or _own(each) == name]
+
+
+def _own(name: str) -> str:
+    return name.rpartition("@")[0] if is_alias(name) else name
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.filter import Filter
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.display import Shown
-from navfilter.models.health import CALM, Bounds, Health, LearningHealth
+from navfilter.models.during import same_sensor
+from navfilter.models.health import CALM, Bounds, Health, LearningHealth, SensorHealth
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.state import NavState
 
@@ -104,7 +105,7 @@ def health_of(
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
     calm = {
-        name: (*CALM, "silent") if channel.sensor.observes.corrects == "position" else CALM
+        name: (*CALM, "silent") if channel.sensor.observes.corrects == "position" or _stood_in(name, sensors) else CALM
         for name, channel in channels.items()
     }
     doubts = [f"{name} is {s.condition}" for name, s in sensors.items() if s.condition not in calm[name]]
@@ -120,6 +121,12 @@ def health_of(
         clock.memory.offset_s,
         learning,
     )
+
+
+def _stood_in(name: str, sensors: Mapping[str, SensorHealth]) -> bool:
+    """Whether the silence of this name is none of the instrument: it is heard under another one, or says so there."""
+    names = same_sensor(name, sensors)
+    return not names or any(sensors[each].condition not in ("silent", "waiting") for each in names)
 
 
 def _last_fix(filter: Filter, watches: Mapping[str, SensorMonitor]) -> tuple[float, float, float]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Surfacing
 from navfilter.evaluation.learned_text import LearnedText
+from navfilter.models.during import same_sensor
 from navfilter.rendering.panels import Mark, short
 from navfilter.report.lane_figures import lane_marks
 from navfilter.track.track import Track
@@ -45,10 +46,11 @@ def outages(track: Track, name: str) -> list[Mark]:
         The sensor.
     """
     run = track.forward or track
-    if name not in run.vehicle.sensors or name not in run.residuals:
+    names = same_sensor(name, run.vehicle.sensors)
+    if name not in run.residuals or not names:
         return []
     hue = OUTAGES[list(run.vehicle.sensors).index(name) % len(OUTAGES)]
-    used = run.residuals[name].time_s[run.residuals[name].used]
+    used = np.sort(np.concatenate([r.time_s[r.used] for r in map(run.residuals.get, names) if r is not None]))
     ends = np.concatenate([[run.time_s[0]], used, [run.time_s[-1]]])
     steps = np.diff(ends)
     least_s = max(OUTAGE_S, OUTAGE_STEPS * float(np.median(np.diff(used))) if len(used) > 1 else 0.0)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.records import OUTCOMES
+from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.kernels.batch import NIS_MEMORY, NIS_MOST
+from navfilter.models.during import same_sensor
 from navfilter.models.fault_bias import has_offset
 from navfilter.models.health import LOST_HEADING, LOST_VELOCITY, MARGIN, NOISY, silent_after_s
 
@@ -140,6 +141,12 @@ def _reasons(run: Track) -> Iterator[tuple[str, str, Mask]]:
             yield from (("degraded", f"{name} is {what}", rows) for what, rows in conditions if what != calm)
 
 
+def _heard_s(r: Residuals) -> NDArray[np.float64]:
+    """When a sensor was heard [s]."""
+    heard = ~np.isin(r.outcome, [OUTCOMES.index("ahead"), OUTCOMES.index("invalid")])
+    return np.maximum.accumulate(r.time_s[heard])
+
+
 def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Mask]]:
     """The conditions of a sensor, each with the rows at which it is in it, as
     `navfilter.faults.sensor_monitor.SensorMonitor` has them.
@@ -147,17 +154,20 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
     That its value does not change shows as its readings being rejected.
     """
     r, now = run.residuals[name], run.time_s
-    heard = ~np.isin(r.outcome, [OUTCOMES.index("ahead"), OUTCOMES.index("invalid")])
+    names = same_sensor(name, run.residuals)
+    others = [run.residuals[each] for each in names if each != name]
+    times_heard = np.sort(np.concatenate([_heard_s(each) for each in (r, *others)]))
     first = r.time_s[0]
 
-    def age(which: Mask) -> NDArray[np.float64]:
-        times = np.maximum.accumulate(r.time_s[which])
+    def age(times: NDArray[np.float64]) -> NDArray[np.float64]:
         last = np.searchsorted(times, now, side="right") - 1
         return np.where(last >= 0, now - times[last], np.inf) if times.size else np.full(len(now), np.inf)
 
-    waiting, silent = now < first, age(heard) > silent_after_s(sensor.gate_timeout_s, sensor.rate_hz)
-    old = age(r.used) > sensor.gate_timeout_s
-    yield "silent", silent & ~waiting
+    limit_s = silent_after_s(sensor.gate_timeout_s, sensor.rate_hz)
+    waiting, silent = now < first, age(_heard_s(r)) > limit_s
+    old = age(np.maximum.accumulate(r.time_s[r.used])) > sensor.gate_timeout_s
+    if names:
+        yield "silent", (age(times_heard) > limit_s) & ~waiting
     left = ~silent & ~waiting
     yield "rejected", left & old
     left &= ~old
