@@ -12,8 +12,9 @@ from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors import Usbl
-from navfilter.playback.backward import apart, backward, mirrored
+from navfilter.playback.backward import Apart, apart, backward, mirrored
 from navfilter.playback.replay import replay
+from navfilter.report.figures import backward_figure
 from navfilter.simulation.scenarios import simulate_scenario
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
@@ -128,3 +129,11 @@ def test_the_command(tmp_path, capsys, more):
     assert "forward and backward run, independent of each other, differ by" in capsys.readouterr().out
     if not more:
         assert "Forward and backward" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_start_of_the_backward_run_does_not_rule_the_figure():
+    """Its depth is known to 30 m until the first reading; beside that nothing would be seen of the rest."""
+    sd = np.full((400, 4), 0.5)
+    sd[-2:] = 30.0
+    found = Apart(np.arange(400.0), *np.zeros((4, 400)), sd=sd, smoothed_sd=None, nis=1.0, chance=1.0, own_start=True)
+    assert [panel.limits[1] for panel in backward_figure(found).panels[:3]] == pytest.approx([1.05] * 3)
