@@ -45,7 +45,8 @@ def test_at_a_time_both_directions_count(track):
     assert not found.nearest and found.distance_m < 1e-6 and found.up_m == pytest.approx(2.0) and found.inside
     (far,) = control_residuals(track, [beside(track, k, 500.0, time_s=track.time_s[k])])
     assert not far.inside and far.distance_m == pytest.approx(500.0, rel=0.02) and "outside the 95 %" in str(far)
-    assert control_residuals(track, [ControlPoint("late", 0.1, 0.1, time_s=1e9)]) == ()
+    (none,) = control_residuals(track, [ControlPoint("late", 0.1, 0.1, time_s=1e5)])
+    assert none.inside is None and str(none) == "control point late: there is no track at its 100000.0 s"
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,8 @@ def test_a_replay_compares_its_track_with_them(tmp_path, capsys, track):
     rows = f"gate <1>,{latitude:.9f},{longitude:.9f},\nend,{latitude:.9f},{longitude:.9f},{track.time_s[k]}\n"
     (tmp_path / "gates.csv").write_text("name,latitude_deg,longitude_deg,time_s\n" + rows)
     common = ["replay", str(tmp_path / "dive.npz"), "--vehicle", str(tmp_path / "vehicle.toml"), "--smooth"]
-    main([*common, "--out", str(tmp_path / "out"), "--control", str(tmp_path / "gates.csv"), "--no-report"])
+    main([*common, "--out", str(tmp_path / "out"), "--control", str(tmp_path / "gates.csv")])
     assert "control point gate <1>, nearest at" in capsys.readouterr().out
     found = json.loads((tmp_path / "out" / "summary.json").read_text())["control"]
     assert [one["nearest"] for one in found] == [True, False] and all(one["distance_m"] < 0.01 for one in found)
+    assert "<td>gate &lt;1&gt;</td>" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ import math
 
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR
 
-__all__ = ["amount", "duration", "root_density", "walk"]
+__all__ = ["amount", "duration", "root_density", "walk", "with_sd"]
 
 _DEG = math.pi / 180.0
 #: SI unit of a channel -> the units to write it in, the largest first: name, size in SI.
@@ -36,11 +36,27 @@ def amount(value: float, unit: str) -> str:
     >>> amount(0.0105, "rad"), amount(2.4e-5, "rad_s"), amount(0.012, "m_s")
     ('0.602 deg', '4.95 deg/h', '1.2 cm/s')
     """
-    scales = _SCALES.get(unit, ((unit.replace("_per_", "/").replace("_", "/"), 1.0),))
-    name, size = next(
-        ((name, size) for name, size in scales if abs(value) >= 0.1 * size), scales[-1] if value else scales[0]
-    )
+    name, size = _scale(value, unit)
     return f"{value / size:.3g} {name}"
+
+
+def with_sd(value: float, sd: float, unit: str) -> str:
+    """A quantity and its standard deviation in one unit, both to the second figure of the sd.
+
+    Examples
+    --------
+    >>> with_sd(0.1852, 0.0127, "m"), with_sd(-0.02, 0.3, "m"), with_sd(0.0, 0.2, "s")
+    ('18.5 ± 1.3 cm', '-0.02 ± 0.30 m', '0.00 ± 0.20 s')
+    """
+    name, size = _scale(sd, unit)
+    digits = max(0, 1 - math.floor(math.log10(sd / size))) if 0.0 < sd < math.inf else 3
+    return f"{value / size:.{digits}f} ± {sd / size:.{digits}f} {name}"
+
+
+def _scale(value: float, unit: str) -> tuple[str, float]:
+    scales = _SCALES.get(unit, ((unit.replace("_per_", "/").replace("_", "/"), 1.0),))
+    fitting = ((name, size) for name, size in scales if abs(value) >= 0.1 * size)
+    return next(fitting, scales[-1] if value else scales[0])
 
 
 def root_density(value: float, unit: str) -> str:

@@ -57,8 +57,8 @@ class Control:
         [m]; `up_m` is NaN where the place has no height.
     sd_m : float
         Predicted standard deviation of the horizontal distance, along it [m]; the place itself counts as known.
-    inside : bool
-        Whether it lies where 95 % of honest ones do.
+    inside : bool or None
+        Whether it lies where 95 % of honest ones do; None, and NaN for all lengths, where no track is at its time.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Control:
     east_m: float
     up_m: float
     sd_m: float
-    inside: bool
+    inside: bool | None
 
     @property
     def distance_m(self) -> float:
@@ -80,6 +80,8 @@ class Control:
         return {**asdict(self), "distance_m": self.distance_m}
 
     def __str__(self) -> str:
+        if self.inside is None:
+            return f"control point {self.name}: there is no track at its {self.time_s:.1f} s"
         where = "inside" if self.inside else "outside"
         how = "nearest" if self.nearest else "passed"
         return (
@@ -118,21 +120,21 @@ def read_control_points(path: Path) -> tuple[ControlPoint, ...]:
 
 
 def control_residuals(track: Track, points: Sequence[ControlPoint]) -> tuple[Control, ...]:
-    """The track against surveyed places, those left out that it has no row for.
+    """The track against surveyed places.
 
     Parameters
     ----------
     track : Track
     points : sequence of ControlPoint
     """
-    return tuple(found for point in points if (found := _control(track, point)) is not None)
+    return tuple(_control(track, point) for point in points)
 
 
-def _control(track: Track, point: ControlPoint) -> Control | None:
+def _control(track: Track, point: ControlPoint) -> Control:
     nearest = math.isnan(point.time_s)
     time_s = _nearest_s(track, point) if nearest else point.time_s
     if not track.time_s[0] <= time_s <= track.time_s[-1]:
-        return None
+        return Control(point.name, time_s, nearest, math.nan, math.nan, math.nan, math.nan, None)
     there = track.at(time_s)
     offset = there.local(point.latitude, point.longitude)[0, :2]
     covariance = there.covariance[0, :2, :2]

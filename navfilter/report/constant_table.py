@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from navfilter.calibration.lights import LEFT, Agreement, Light
-from navfilter.check.units_text import amount
+from navfilter.check.units_text import amount, with_sd
 from navfilter.rendering.page import escape
 
 __all__ = ["ABOUT", "AGREEMENT", "agreement_html", "lights_html", "lights_text"]
@@ -31,7 +31,7 @@ def lights_html(lights: Sequence[Light]) -> str:
     rows = (
         (
             escape(one.name),
-            *(f"{amount(v, one.unit)} &plusmn; {amount(sd, one.unit)}" for v, sd in _both(one)),
+            *(with_sd(v, sd, one.unit) for v, sd in _both(one)),
             _figure(one),
             amount(one.limit, one.unit),
             _light(one.colour, _SIGNS[one.colour][1]),
@@ -52,11 +52,8 @@ def agreement_html(missions: Sequence[str], found: Mapping[str, tuple[Agreement,
     """
     rows = []
     for name, (both, unit, each) in found.items():
-        cells = [
-            "-" if one is None else _light(one.colour, f"{amount(one.value, unit)} &plusmn; {amount(one.sd, unit)}")
-            for one in each
-        ]
-        together = f"{amount(both.value, unit)} &plusmn; {amount(both.sd, unit)}"
+        cells = ["-" if one is None else _light(one.colour, with_sd(one.value, one.sd, unit)) for one in each]
+        together = with_sd(both.value, both.sd, unit)
         rows.append((escape(name), *cells, together, _light(both.colour, _AGREE[both.colour])))
     return _table(("constant", *map(escape, missions), "together", ""), rows)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from navfilter.calibration.lights import Light
 from navfilter.evaluation.assessment import Assessment, assess
+from navfilter.evaluation.control_points import Control
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
 from navfilter.evaluation.verdict import Verdict
@@ -100,9 +101,11 @@ def render_report(
     shown = {**{label: tracks[label] for label in others}, **(beside or {}), last: tracks[last]}
     if not others:  # what is first says where metres count from
         shown = {last: tracks[last], **(beside or {})}
-    reading = [list_html(assessment.lines())]
+    reading = [list_html(line for line in assessment.lines() if line not in map(str, assessment.control))]
     if assessment.evidence.surfacings:
         reading += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
+    if assessment.control:
+        reading.append(table_html(*_control(assessment.control)))
     body = [
         _verdict(assessment.verdict),
         Section("Result", (table_html(*headline_rows(tracks, mission)), f"<p>{_reading(mission)}</p>")),
@@ -240,6 +243,17 @@ def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
         ]
         for s in evidence.surfacings
     ]
+    return header, rows
+
+
+def _control(points: Sequence[Control]) -> tuple[list[str], Rows]:
+    header = ["control point", "at [s]", "north [m]", "east [m]", "up [m]", "off [m]", "predicted sd [m]", "95 %"]
+    rows = []
+    for one in points:
+        lengths = (one.north_m, one.east_m, one.up_m, one.distance_m, one.sd_m)
+        where = "no track" if one.inside is None else "inside" if one.inside else "outside"
+        at = f"{one.time_s:.1f}{', nearest' * one.nearest}"
+        rows.append([one.name, at, *("" if math.isnan(v) else f"{v:.2f}" for v in lengths), where])
     return header, rows
 
 
