@@ -3,15 +3,20 @@
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.io import netcdf_file
+from small_run import small_run
 
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.commands.console import complain, speaker
+from navfilter.evaluation.control_points import read_control_points
 from navfilter.foundation.quoting import one_line, printable, toml_key, toml_text
 from navfilter.io.learned_toml import write_learned
+from navfilter.rendering.page import escape
 
 HOSTILE = '/imu\n[streams.evil]\nfile = "/etc/hostname"\ntime = {column = "a"}\n# \x1b[2J\r\u202e\x9b\x7f"""\'\\'
 
@@ -90,3 +95,26 @@ def test_the_log_of_a_folder_of_any_name(tmp_path):
     command = [sys.executable, "-m", "navfilter", "run", "--vehicle", str(vehicle), "--log", str(folder), "--quiet"]
     assert subprocess.run(command, input=reading, capture_output=True).returncode == 0
     assert tomllib.loads((folder / "mission.toml").read_text())["name"] == folder.name
+
+
+@pytest.mark.parametrize("name", ["\u00dcbung", HOSTILE, "\udcff"])
+def test_a_mission_of_any_name_is_one_line_and_every_format_takes_it(name, tmp_path):
+    """The second one of somebody's file, the last one of a folder whose name is no text."""
+    mission, tracks = small_run()
+    vehicle = next(iter(tracks.values())).vehicle
+    named = nf.Vehicle(vehicle.drive, vehicle.sensors, name=name)
+    track = nf.replay(named, replace(mission, name=name), output_rate_hz=1.0)
+    assert track.mission_name.isprintable() and track.vehicle.name.isprintable()
+    for kind in ("nc", "kml", "gpkg", "geojson", "mat", "gpx"):
+        nf.write_track(track, tmp_path / f"track.{kind}", mission)
+    with netcdf_file(tmp_path / "track.nc", mmap=False) as file:
+        assert file.title.decode() == f"{track.mission_name}, {track.label}"
+
+
+def test_a_page_shows_what_nobody_sees():
+    assert escape("<\x1b[2J\u202e") == "&lt;\\x1b[2J\\u202e"
+
+
+def test_a_surveyed_place_has_one_line(tmp_path):
+    (tmp_path / "gates.csv").write_text('name,latitude_deg,longitude_deg\n"a\nVerdict: good",1,2\n')
+    assert read_control_points(tmp_path / "gates.csv")[0].name == "a\\nVerdict: good"

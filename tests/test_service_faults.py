@@ -665,6 +665,12 @@ def test_no_file_of_somebody_is_written_over(dive, tmp_path, capsys, flag, name)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.parametrize("flag", ["--state", "--health-file"])
+def test_a_place_without_a_name_is_no_file(dive, capsys, flag):
+    assert main(["run", "--vehicle", str(dive.toml), flag, ".", "--quiet"]) == 2
+    assert f"{flag} . is no file" in capsys.readouterr().err
+
+
 def test_a_restart_puts_a_file_that_is_none_of_its_own_aside(dive, tmp_path):
     """No restart by a supervisor ends without navigation; an empty file is what a power cut leaves."""
     for name in ("state", "health"):

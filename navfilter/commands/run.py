@@ -240,6 +240,8 @@ def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable
     ):
         if given is None:
             continue
+        if not Path(given).name:
+            raise ValueError(f"{flag} {given} is no file. Give another name.")
         path, part = both = _with_part(Path(given))
         for name in both:
             if any(_same(name, other) for other in needed):

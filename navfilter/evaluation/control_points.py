@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.foundation.quoting import one_line
 from navfilter.io.table import TableOptions
 from navfilter.io.tables import read_table
 from navfilter.io.trust import Place
@@ -116,7 +117,7 @@ def read_control_points(path: Path) -> tuple[ControlPoint, ...]:
         row = int(wrong.argmax())
         raise MissionError(f"{path}: row {row + 1} is no place: latitude_deg and longitude_deg are decimal degrees.")
     rows = zip(table.raw("name").tolist(), np.radians(latitude), np.radians(longitude), height, time_s, strict=True)
-    return tuple(ControlPoint(str(name), *map(float, numbers)) for name, *numbers in rows)
+    return tuple(ControlPoint(one_line(str(name)), *map(float, numbers)) for name, *numbers in rows)
 
 
 def control_residuals(track: Track, points: Sequence[ControlPoint]) -> tuple[Control, ...]:

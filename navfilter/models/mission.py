@@ -19,6 +19,7 @@ from navfilter.foundation import utc
 from navfilter.foundation.arguments import needs, numbers, rows_of, short
 from navfilter.foundation.display import Value, often, span
 from navfilter.foundation.mapped_arrays import give_back
+from navfilter.foundation.quoting import one_line
 from navfilter.models.during import During
 
 Array = npt.NDArray[np.float64]
@@ -210,6 +211,7 @@ class Mission(Value):
             needs("the name of a stream", name, str)
             needs(f'stream "{name}"', stream, Stream, hint="nf.Stream(time_s, value, columns) is one.")
         put = object.__setattr__
+        put(self, "name", one_line(self.name))  # often that of a file or folder, whatever its maker called it
         put(self, "streams", dict(self.streams))
         put(self, "notes", (self.notes,) if isinstance(self.notes, str) else tuple(self.notes))
         put(self, "windows", given.intervals(self.windows, "Mission.windows"))

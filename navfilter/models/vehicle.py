@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from navfilter.foundation.display import card
 from navfilter.foundation.frozen import typed
+from navfilter.foundation.quoting import one_line
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.mechanisation import DeadReckoningLane, Imu, Mechanisation
 from navfilter.models.sensors import Attitude, Sensor
@@ -99,7 +100,7 @@ class Vehicle:
                 raise ValueError(f'"{key}" is reserved for the drive; give the sensor another name.')
         object.__setattr__(self, "drive", chosen)
         object.__setattr__(self, "sensors", MappingProxyType(dict(sensors or {})))
-        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "name", one_line(name))
         object.__setattr__(self, "imus", MappingProxyType(units))
         object.__setattr__(self, "dead_reckoning_lane", dead_reckoning_lane)
         if dead_reckoning_lane:

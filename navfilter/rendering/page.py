@@ -12,6 +12,8 @@ from functools import cache
 from importlib.resources import files
 from typing import NamedTuple
 
+from navfilter.foundation.quoting import printable
+
 __all__ = [
     "Scripts",
     "Section",
@@ -149,8 +151,8 @@ def _contents(sections: Sequence[Section]) -> str:
 
 
 def escape(text: str) -> str:
-    """Text as HTML."""
-    return html.escape(str(text), quote=True)
+    """Text as HTML, with nothing in it that is not seen."""
+    return html.escape(printable(str(text)), quote=True)
 
 
 def heading_html(text: str) -> str:

@@ -59,9 +59,9 @@ def write(track: Track, path: Path, mission: Mission | None = None) -> None:
 def _about(file: Any, track: Track) -> None:
     file.Conventions = "CF-1.8"
     file.featureType = "trajectory"
-    file.title = f"{track.mission_name}, {track.label}"
+    file.title = f"{track.mission_name}, {track.label}".encode()  # of a string the library takes ASCII only
     file.history = "written by navfilter"
-    file.source = f"navfilter, vehicle {track.vehicle.name}"
+    file.source = f"navfilter, vehicle {track.vehicle.name}".encode()
 
 
 def _trajectory(file: Any, name: str) -> None:
