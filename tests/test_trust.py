@@ -72,6 +72,22 @@ def test_rows_that_are_chosen_are_bounded_too(tmp_path, where):
     assert read_table(Place(path, str(path), allowance=Allowance(10 * SMALL)), options).columns
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (b"a,b\n1,2\n3," + b"9" * (5 << 20), "line of more than 4 MiB"),
+        (b",".join([b"a"] * 30_000) + b"\n", "has 30000 columns"),
+    ],
+)
+def test_no_line_is_longer_and_no_table_wider_than_any_is(tmp_path, text, words):
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(gzip.compress(text + b"\n1\n"))
+    with pytest.raises(MissionError, match=words):
+        read_table(path)
+    path.write_bytes(gzip.compress(b"a,b\n" + b"1,2\n" * (2 << 20)))  # as long in all
+    assert len(read_table(path).columns) == 2
+
+
 def test_a_compressed_log_is_bounded(tmp_path, capsys):
     path = tmp_path / "x.alog.gz"
     path.write_bytes(gzip.compress(b"%% LOGSTART 1\n" + b"0.1 DEPTH a 1.5\n" * SMALL))

@@ -38,6 +38,9 @@ _LINE_WITH_COMMA = re.compile(rb"^[^\n,]*,[^\n]*", re.MULTILINE)
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+")
 #: Rows with fewer fields than the header are cut ones where they are so few; else the logger leaves out empty ones.
 _CUT = 0.01
+#: No line is longer [bytes], and no table has more columns: a picture as text, a glider's table ten times over. Beyond
+#: them a small compressed file takes any room and time.
+_LONGEST, _WIDEST = 4 << 20, 20_000
 
 
 def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
@@ -59,6 +62,7 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
 
     notes: list[str] = []
     text = _tidy(_text(place, data, notes), options)
+    _check_lines(place, text)
     rows = io.BytesIO(text)
     delimiter, first = options.delimiter, _record(rows)
     if first.lower().startswith("sep=") and len(first) == 5:
@@ -67,6 +71,8 @@ def read_text(place: Place, data: bytes, options: TableOptions) -> Table:
         first = _record(rows)
     delimiter = delimiter or delimiter_of(first, options.decimal, _peek(rows))
     names, has_header = _names(first, _peek(rows), delimiter, options)
+    if len(names) > _WIDEST:
+        raise MissionError(f"{place.shown} has {len(names)} columns: no table has more than {_WIDEST}.")
     if not has_header:
         rows.seek(0)
     for _ in range(options.skip_rows):
@@ -154,6 +160,15 @@ def _text(place: Place, data: bytes, notes: list[str]) -> bytes:
     what = "zero bytes left out: reserved and never written, as when the power is lost"
     notes.append(counted(data.count(0), what))
     return kept
+
+
+def _check_lines(place: Place, text: bytes) -> None:
+    at = 0
+    while len(text) - at > _LONGEST:
+        end = text.rfind(b"\n", at, at + _LONGEST + 1)
+        if end < 0:
+            raise MissionError(f"{place.shown} is no table: it has a line of more than {_LONGEST >> 20} MiB.")
+        at = end + 1
 
 
 def marked_encoding(data: bytes) -> str:
@@ -276,6 +291,7 @@ def fields_of(record: str, delimiter: str) -> list[str]:
     """The fields of a record as CSV has them: a delimiter within quotes is none."""
     if delimiter == "whitespace":
         record, delimiter = " ".join(record.split("\t")), " "
+    csv.field_size_limit(max(csv.field_size_limit(), _LONGEST))
     found = next(csv.reader([record], delimiter=delimiter, skipinitialspace=True), [])
     return found[:-1] if delimiter == " " and found and not found[-1] else found
 
