@@ -17,6 +17,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ from navfilter.models.magnetic import believable, declination
 from navfilter.service import kernel_cache
 from navfilter.service.disk import Disk, StateFile
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
-from navfilter.service.loop import Tally
+from navfilter.service.loop import Tally, _Run
 from navfilter.service.output import Outlet
 from navfilter.service.session import Options
 from navfilter.service.supervision import HealthFile, Notifier
@@ -663,6 +664,35 @@ def test_no_file_of_somebody_is_written_over(dive, tmp_path, capsys, flag, name)
     said = capsys.readouterr().err
     assert "written over" in said and said.count("\n") == 1
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_lines_without_a_reading_are_told_like_silence(dive, tmp_path, monkeypatch, capfd):
+    """Stamps that are no number, say: nothing goes on, and each line alone is only counted."""
+    monkeypatch.setattr(_Run, "SILENT_S", 0.05)
+    os.mkfifo(tmp_path / "pipe")
+    told = threading.Event()
+
+    def babble():
+        with (tmp_path / "pipe").open("wb", buffering=0) as pipe:
+            pipe.write(dive.lines[0])
+            for _ in range(2000):
+                if told.wait(0.005):
+                    break
+                pipe.write(b'{"sensor": "imu", "time_s": NaN}\n')
+
+    notice = _Run._notice
+
+    def noted(run, what, **fields):
+        notice(run, what, **fields)
+        if what == "input-silent":
+            told.set()
+
+    monkeypatch.setattr(_Run, "_notice", noted)
+    talker = threading.Thread(target=babble)
+    talker.start()
+    assert main(["run", *map(str, dive.arguments), "--input", str(tmp_path / "pipe"), "--quiet"]) == 0
+    talker.join()
+    assert "no reading among the lines for" in capfd.readouterr().out
 
 
 @pytest.mark.parametrize("flag", ["--state", "--health-file"])

@@ -95,7 +95,8 @@ def test_two_hundred_kills_on_a_slow_disk(tmp_path):
     # how many readings a state rests on: those of its own stamp may come behind it
     fed, parser = 0, LineParser(dive.vehicle)
     session = Session(dive.vehicle, dive.options, lambda line, is_state: rests_on.setdefault(line, fed))
-    for fed, line in enumerate(dive.lines, 1):
+    for line in dive.lines:
+        fed += 1
         session.feed(parser.parse(line))
     sent = 0
     for _ in range(200):

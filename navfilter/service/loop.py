@@ -73,7 +73,7 @@ def run(vehicle: Vehicle, options: Options, service: Service) -> int:
 class _Run:
     """One run: the session and everything that is open around it."""
 
-    #: Without a line for so long the operator is told [s].
+    #: Without a reading for so long the operator is told [s].
     SILENT_S = 5.0
 
     def __init__(
@@ -212,6 +212,7 @@ class _Run:
     def _rounds(self) -> int:
         now = time.monotonic()
         tend_at, snapshot_at, self._heard, silent = now, now + self._service.snapshot_s, now, False
+        read_at = now
         while not self._stop.received:
             if now >= tend_at:
                 self._tend(now)
@@ -226,13 +227,17 @@ class _Run:
                 self._take(self._lines.end())
                 return ORDERED if self._read_anything() else UNASKED
             spoken = self._hear_instruments()
-            if data and self._take(self._lines.feed(data)):
+            read = bool(data) and self._take(self._lines.feed(data))
+            if read:
                 self._source.heard()
             if data or spoken:
-                self._heard, silent = now, False
-            elif now - self._heard > self.SILENT_S and not silent:
+                self._heard = now
+            if read or spoken:
+                read_at, silent = now, False
+            elif now - read_at > self.SILENT_S and not silent:
                 silent = True
-                self._notice("input-silent", text=f"no line for {self.SILENT_S:.0f} s")
+                what = "no reading among the lines" if self._heard > read_at else "no line"
+                self._notice("input-silent", text=f"{what} for {self.SILENT_S:.0f} s")
             if now >= snapshot_at:
                 self._snapshot()
                 snapshot_at = now + self._service.snapshot_s
