@@ -153,12 +153,16 @@ def _in_place(
     """
     before: list[Array | Measurement] = []
     after: list[Array | Measurement] = []
+    latest_s = reading.time_s + 1e-9
     for item, offset_s in zip(items, shifts, strict=True):
         if isinstance(item, Measurement):
             first = (item.time_s, order.index(item.name)) < (reading.time_s, order.index(reading.name))
             (before if first else after).append(item)
             continue
-        late = item[:, 0] + offset_s > reading.time_s + 1e-9
+        if len(item) == 1:  # as nearly all that come live, one by one: an array's own ways take ten times as long
+            (after if item.item(0) + offset_s > latest_s else before).append(item)
+            continue
+        late = item[:, 0] + offset_s > latest_s
         split = int(np.argmax(late)) if late.any() else len(item)
         for part, whither in ((item[:split], before), (item[split:], after)):
             if len(part):
