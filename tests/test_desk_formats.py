@@ -132,6 +132,14 @@ def test_what_no_format_can_ask_for(tmp_path, change, words):
     assert not (tmp_path / "survey.txt").exists() and not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.parametrize(("columns", "mistakes"), [('[{value = "time_s"}]', 2), ("[]", 1)])
+def test_nothing_is_said_but_the_mistakes(tmp_path, columns, mistakes):
+    (tmp_path / "my.toml").write_text(f'file = "a.txt"\ncolumns = {columns}\n')
+    with pytest.raises(FormatError) as found:
+        read_format(tmp_path / "my.toml")
+    assert str(found.value).count("columns") == mistakes, found.value
+
+
 def test_without_utc_there_is_no_date(tmp_path):
     (tmp_path / "my.toml").write_text(FORMAT)
     with pytest.raises(FormatError, match="UTC is unknown: give epoch"):

@@ -58,7 +58,15 @@ class OwnFormat(Strict):
     header: bool = True
     head: tuple[str, ...] = ()
     heave_period_s: float = Field(default=30.0, gt=0)
-    columns: tuple[Column, ...] = Field(min_length=1)
+    columns: tuple[Column, ...]
+
+    @field_validator("columns")
+    @classmethod
+    def _some(cls, value: tuple[Column, ...]) -> tuple[Column, ...]:
+        # Not min_length: pydantic reports it besides every mistake inside the one column there is.
+        if not value:
+            raise ValueError("a table needs at least one column")
+        return value
 
     @field_validator("file")
     @classmethod
