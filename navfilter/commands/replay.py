@@ -107,7 +107,7 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)"
     )
     parser.add_argument(
-        "--seed", type=whole, default=10, metavar="N", help="seed of everything random (default: %(default)s)"
+        "--seed", type=whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)"
     )
     parser.add_argument(
         "--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)"

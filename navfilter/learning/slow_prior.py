@@ -148,8 +148,8 @@ def slow_prior(
         Factors within which the model is believed, as it stands, in standard deviation and correlation time. A model
         that is quicker than any slow error says nothing of one.
     kind : ErrorModel, optional
-        Usual error of the sensor's kind. Beside white noise alone a slow error is as slow as that one's, with the
-        power at zero frequency that was described, and unlikely; without a kind there is none.
+        Usual error of the sensor's kind. Who describes white noise says how large errors are, not how slow: a slow
+        error is as slow as that one's and as large as described, and unlikely; without a kind there is none.
     """
     blocks = described_blocks(model, period_s)
     variance, white = sum(float(block.C @ block.P0 @ block.C) for block in blocks), sum(block.r for block in blocks)
@@ -157,7 +157,7 @@ def slow_prior(
         usual = None if kind is None else slow_prior(kind, period_s, span_s)
         if usual is None or not white > 0.0:
             return None
-        return replace(usual, sd=math.sqrt(0.5 * white * period_s / usual.tau_s), absent=UNDESCRIBED)
+        return replace(usual, sd=math.sqrt(white), absent=UNDESCRIBED)
     # of a Gauss-Markov process S(0) is twice variance times correlation time
     power = (sum(block_level(block) for block in blocks) - white) * period_s
     sd, tau_s = math.sqrt(variance), power / (2.0 * variance)
