@@ -79,6 +79,19 @@ def test_nothing_is_said_of_the_scenarios(scenario):
         assert left_out(nf.replay(vehicle, mission, output_rate_hz=2.0), mission) == ()
 
 
+@pytest.mark.parametrize("late_s", [1.0, -1.0])
+@pytest.mark.parametrize("dive", [5, 12])
+def test_the_clock_of_a_dvl_that_nobody_described_is_named_with_its_size(recording, dive, late_s):
+    folder = recording(f"snapir-auv-100hz/{dive:02d}")
+    vehicle, mission = nf.read_vehicle(folder), nf.read_mission(folder)
+    vehicle = vehicle.with_error(dvl=nf.White(sd=0.02))
+    dvl = mission.streams["dvl"]
+    late = mission.with_stream("dvl", replace(dvl, time_s=dvl.time_s + late_s))
+    first = left_out(nf.replay(vehicle, late, output_rate_hz=1.0), late)[0]
+    assert (first.part[-1], first.kind) == ("dvl", "clock")
+    assert first.found[0][2] == pytest.approx(late_s, abs=0.1)
+
+
 def test_two_that_are_left_out_are_both_said():
     real = inertial(dvl={"scale_sd": 0.03}, depth={"offset_sd_m": 1.0})
     track, mission = mistaken(real, inertial())
