@@ -113,13 +113,13 @@ DRIFT_LEAST = 0.05
 DRIFT_OPENED = 2.0
 #: What tilts the vehicle contradicts the accelerometers within so long [s]. (chosen)
 TILT_S = 10.0
-#: An error of a compass that its description leaves out is a Gauss-Markov process of one of these standard deviations
-#: [rad] and time constants [s]: from what hardly shows to what a deviation is, from a look to longer than are kept.
-#: (derived)
-LEVELS, TAUS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2), (10.0, 30.0, 100.0, 300.0)
 #: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
 #: difference between a compass and how far gyros have turned [rad]. (chosen)
 DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
+#: An error of a compass that its description leaves out is a Gauss-Markov process of one of these standard deviations
+#: [rad], halves of what deviations are, and time constants [s], from a look to twice as long as looks are kept.
+#: (derived)
+LEVELS, TAUS_S = tuple(DEVIATION[0] * 0.5**k for k in range(7)), (10.0, 30.0, 100.0, 300.0)
 #: An axis is about the vertical if so much of it is [1]. (chosen)
 UPRIGHT = 0.5
 

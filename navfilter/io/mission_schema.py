@@ -12,12 +12,12 @@ import datetime
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, create_model, field_validator, model_validator
+from pydantic import AfterValidator, Field, create_model, field_validator, model_validator
 
 from navfilter.io.contents import SD, SERIES, contents, groups, kind_of
 from navfilter.io.table import Where
 from navfilter.io.units import UNITS, parse_quantity, unit
-from navfilter.io.validation import Strict
+from navfilter.io.validation import Strict, at_least_one
 
 TRUTH_GROUPS = ("position", "ecef", "local", "velocity_n", "velocity_ecef", "attitude", "quaternion")
 Reference = str | int
@@ -243,7 +243,7 @@ class Source(Strict):
 class StreamSpec(Strict):
     """A stream: its sources and what is kept of them."""
 
-    sources: tuple[Source, ...]
+    sources: Annotated[tuple[Source, ...], AfterValidator(at_least_one("a stream needs at least one source"))]
     average: int = Field(default=1, ge=1)
     every: int = Field(default=1, ge=1)
     resample_hz: float | None = Field(default=None, gt=0)
@@ -260,14 +260,6 @@ class StreamSpec(Strict):
             rest = {key: value for key, value in data.items() if key not in cls.model_fields}
             return {**own, "sources": [rest]}
         return data
-
-    @field_validator("sources")
-    @classmethod
-    def _some(cls, value: tuple[Source, ...]) -> tuple[Source, ...]:
-        # Not min_length: pydantic reports it besides every mistake inside the one source there is.
-        if not value:
-            raise ValueError("a stream needs at least one source")
-        return value
 
     def groups(self) -> list[str]:
         """Names of the groups of all sources, each once, in the order of `groups`."""

@@ -6,7 +6,7 @@ import difflib
 import math
 import tomllib
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -31,6 +31,21 @@ class Strict(BaseModel):
 
 
 Model = TypeVar("Model", bound=Strict)
+Item = TypeVar("Item")
+
+
+def at_least_one(said: str) -> Callable[[tuple[Item, ...]], tuple[Item, ...]]:
+    """A check of a list that may not be empty, and what it says. pydantic's own, ``min_length``, speaks beside every
+    mistake inside the one that there is.
+    """
+
+    def check(value: tuple[Item, ...]) -> tuple[Item, ...]:
+        if not value:
+            raise ValueError(said)
+        return value
+
+    return check
+
 
 #: Tags with which a model tells alternatives of different shape apart; they are no part of a place in the file.
 SHAPES = ("<one>", "<sensor>", "<sum>", "<axes>")

@@ -28,7 +28,7 @@ def same_sensor(name: str, names: Iterable[str]) -> list[str]:
 
     The instrument is silent where none of them is heard, and only its own name says so.
     """
-    return [] if is_alias(name) else [each for each in names if each == name or _own(each) == name]
+    return [] if is_alias(name) else [each for each in names if _own(each) == name]
 
 
 def _own(name: str) -> str:

@@ -104,11 +104,12 @@ def health_of(
     rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
-    calm = {
-        name: (*CALM, "silent") if channel.sensor.observes.corrects == "position" or _stood_in(name, sensors) else CALM
-        for name, channel in channels.items()
-    }
-    doubts = [f"{name} is {s.condition}" for name, s in sensors.items() if s.condition not in calm[name]]
+    fixes = {name for name, channel in channels.items() if channel.sensor.observes.corrects == "position"}
+    doubts = [
+        f"{name} is {s.condition}"
+        for name, s in sensors.items()
+        if s.condition not in CALM and not (s.condition == "silent" and (name in fixes or _stood_in(name, sensors)))
+    ]
     doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
     return Health(
         sensors,

@@ -1,7 +1,6 @@
 """What a figure shows, before anything draws it: panels one above the other, with lines, bands and points.
 
-The same description becomes the figure for print (`navfilter.rendering.drawing`) and the one that can be zoomed
-(`navfilter.report.live`).
+The same description becomes the figure for print (`navfilter.rendering.drawing`) and the one that can be zoomed.
 """
 
 from __future__ import annotations

@@ -151,7 +151,8 @@ def odds_of_ramp(
     """Log odds that a compass has run away from gyros along a ramp since a look, against that it has not.
 
     Both hypotheses allow any deviation, and an error that is described wrongly: a Gauss-Markov process of unknown size
-    and time constant comes on top of the description. The marginal likelihood of each is the mean over those.
+    and time constant comes on top of the description. The marginal likelihood of each is the mean over those; that the
+    description is right counts as one of eight sizes.
 
     Parameters
     ----------

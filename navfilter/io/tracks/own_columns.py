@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from navfilter.io.tracks.atomic_files import pieces, replacing
-from navfilter.io.validation import Strict, read_toml, validate
+from navfilter.io.validation import Strict, at_least_one, read_toml, validate
 from navfilter.track.heave import heave
 from navfilter.track.track import Track
 
@@ -58,15 +58,7 @@ class OwnFormat(Strict):
     header: bool = True
     head: tuple[str, ...] = ()
     heave_period_s: float = Field(default=30.0, gt=0)
-    columns: tuple[Column, ...]
-
-    @field_validator("columns")
-    @classmethod
-    def _some(cls, value: tuple[Column, ...]) -> tuple[Column, ...]:
-        # Not min_length: pydantic reports it besides every mistake inside the one column there is.
-        if not value:
-            raise ValueError("a table needs at least one column")
-        return value
+    columns: Annotated[tuple[Column, ...], AfterValidator(at_least_one("a table needs at least one column"))]
 
     @field_validator("file")
     @classmethod
