@@ -15,7 +15,7 @@ OfMotion = Literal["exchanged", "course", "heading", "habit", "iron", "north", "
 OfVehicle = Literal["sd", "bias", "lacking", "omitted", "arm-or-clock", "constant", "untold", "correlation"]
 #: Of a track, of the unit that drives it, and of its sensors:
 OfTrack = Literal[
-    "diverged", "impossible", "unbounded", "reset", "opened", "given-up", "surfacing", "drift", "backward"
+    "diverged", "impossible", "unbounded", "reset", "opened", "surfacing", "drift", "backward"
 ]
 OfDrive = Literal["lane", "samples", "noisy", "silent", "realigned", "shifted", "left-out"]
 OfSensor = Literal["unheard", "unused", "lost", "jumped", "rejected", "widened", "component", "nis"]

@@ -243,10 +243,6 @@ def _given_up(run: Track) -> Iterator[Finding]:
         )
         cure = "Measure them; or give them as states in vehicle.toml, lever_arm_sd_m = 1.0 and time_offset_sd_s = 0.5."
         yield Finding("warning", "arm-or-clock", "", text, cure)
-    if run.counts.get("given-up", 0):
-        text = "constants of vehicle.toml contradicted the error models that were learnt: these were given up."
-        cure = "Nothing was learnt from then on. Widen the sd of what is constant, or calibrate it."
-        yield Finding("warning", "given-up", "", text, cure)
 
 
 # --- sensors --------------------------------------------------------------------------------------------------------
