@@ -14,9 +14,7 @@ OfValues = Literal["empty", "stuck", "held", "mark", "quantised", "leaps", "unit
 OfMotion = Literal["exchanged", "course", "heading", "habit", "iron", "north", "datum"]
 OfVehicle = Literal["sd", "bias", "lacking", "omitted", "arm-or-clock", "constant", "untold", "correlation"]
 #: Of a track, of the unit that drives it, and of its sensors:
-OfTrack = Literal[
-    "diverged", "impossible", "unbounded", "reset", "opened", "surfacing", "drift", "backward"
-]
+OfTrack = Literal["diverged", "impossible", "unbounded", "reset", "opened", "surfacing", "drift", "backward"]
 OfDrive = Literal["lane", "samples", "noisy", "silent", "realigned", "shifted", "left-out"]
 OfSensor = Literal["unheard", "unused", "lost", "jumped", "rejected", "widened", "component", "nis"]
 Code = OfStream | OfValues | OfMotion | OfVehicle | OfTrack | OfDrive | OfSensor
