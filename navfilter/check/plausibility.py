@@ -14,7 +14,7 @@ from navfilter.filter.state_layout import Layout
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.learning.setup import span_s
 from navfilter.learning.slow_prior import slow_prior
-from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma, learning_part
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.sensors import Sensor
@@ -176,11 +176,9 @@ def _errors(
     several = isinstance(given, tuple)
     for k, model in enumerate(models if several else models[:1]):
         here = f"{place}.{channel.axes[k]}" if several else place
-        parts = model.parts if isinstance(model, Sum) else (model,)
-        for j, part in enumerate(parts):
-            yield from _part_findings(f"{here}[{j}]" if len(parts) > 1 else here, part, channel, period_s)
-        block = model.block(period_s)
-        total = math.sqrt(float(block.C @ block.P0 @ block.C) + block.r)
+        for j, part in enumerate(model.terms):
+            yield from _part_findings(f"{here}[{j}]" if len(model.terms) > 1 else here, part, channel, period_s)
+        total = math.sqrt(model.block(period_s).variance)
         if total < channel.usual.least_sd:
             size = "nothing" if total == 0.0 else f"only {amount(total, channel.unit)}"
             other = f", or in another unit as sd_{channel.usual.suffix}" if channel.usual.suffix else ""
@@ -227,13 +225,12 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
                     f"the prior has no slow error, of {duration(float(usual.taus_s[0]))} or slower, to be believed.",
                     "Quicker ones the readings show: leave prior_within out.",
                 )
-        for k, prior in enumerate(getattr(part.prior, "parts", (part.prior,))):
-            if prior is not None:
-                inner = f"{place}.prior[{k}]" if isinstance(part.prior, Sum) else f"{place}.prior"
-                yield from _part_findings(inner, prior, channel, period_s)
+        priors = part.prior.terms if part.prior else ()
+        for k, prior in enumerate(priors):
+            inner = f"{place}.prior[{k}]" if len(priors) > 1 else f"{place}.prior"
+            yield from _part_findings(inner, prior, channel, period_s)
     else:
-        block = part.block(period_s)
-        yield from _sd_findings(place, math.sqrt(float(block.C @ block.P0 @ block.C) + block.r), channel)
+        yield from _sd_findings(place, math.sqrt(part.block(period_s).variance), channel)
     if isinstance(part, GaussMarkov):
         if part.tau_s < period_s:
             text = (

@@ -209,8 +209,7 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
     ('error = {model = "white", sd = 0.18}', 'error=nf.White(sd=0.18)')
     """
     scaled = _scaled(error, units.unit(unit).factor)
-    parts = scaled.parts if isinstance(scaled, Sum) else (scaled,)
-    python = " + ".join(f"nf.{part!r}" for part in parts)
+    python = " + ".join(f"nf.{part!r}" for part in scaled.terms)
     return f"error = {toml_text(toml_value(scaled, type(scaled), 'error'))}", f"error={python}"
 
 

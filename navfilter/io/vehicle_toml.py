@@ -164,8 +164,7 @@ def error_text(error: ErrorModel | tuple[ErrorModel, ...], axes: tuple[str, ...]
 
 def described_text(models: tuple[ErrorModel, ...]) -> str:
     """Error models by axis, each as the list of its parts, as `read_learnt` takes them."""
-    parts = [model.parts if isinstance(model, Sum) else (model,) for model in models]
-    return _toml([[_table(part) for part in of_axis] for of_axis in parts])
+    return _toml([[_table(part) for part in model.terms] for model in models])
 
 
 def _part_text(model: ErrorModel) -> Any:

@@ -13,7 +13,6 @@ from scipy.special import erfc, gammaincc
 
 from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.sensors import Sensor
 from navfilter.models.state import matrix_from_euler
@@ -175,7 +174,8 @@ def score(track: Track, withheld: Withheld) -> Score | None:
     there = track.at(fixes.time_s)
     lever = matrix_from_euler(*there.attitude.T) @ np.asarray(getattr(sensor, "lever_arm_b_m", (0.0, 0.0, 0.0)))
     error = there.errors(Stream(fixes.time_s, truth, TRUTH_COLUMNS)).position_n[:, :2] + lever[:, :2]
-    S = there.covariance[:, :2, :2] + np.diag([_variance(model, 1.0 / sensor.rate_hz) for model in sensor.models[:2]])
+    blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models[:2]]
+    S = there.covariance[:, :2, :2] + np.diag([block.variance for block in blocks])
     squared = np.einsum("ni,ni->n", error, np.linalg.solve(S, error[:, :, None])[:, :, 0])
     distance = np.hypot(error[:, 0], error[:, 1])
     travelled = np.interp(fixes.time_s[[0, -1]], track.time_s, track.travelled())
@@ -260,9 +260,3 @@ def _fixes(sensor: Sensor, readings: Stream, track: Track) -> NDArray[np.bool_]:
     good = np.array([sensor.read(value) is not None for value in readings.value], dtype=bool)
     good &= (readings.time_s >= track.time_s[0]) & (readings.time_s <= track.time_s[-1])
     return good & np.isfinite(readings.value[:, :2]).all(axis=1)
-
-
-def _variance(model: ErrorModel, period_s: float) -> float:
-    """Variance of all of an error at the start."""
-    block = model.block(period_s)
-    return float(block.r + block.C @ block.P0 @ block.C)

@@ -182,7 +182,7 @@ class DeadReckoning(Mechanisation):
         yaw = self.compass.models[0] if self.compass else self.models[2]
         models = (*self.models[:2], yaw, *self.models[3:])
         blocks = [model.block(self.period_s) for model in models]
-        return np.sqrt([block.C @ block.P0 @ block.C + block.r for block in blocks])
+        return np.sqrt([block.variance for block in blocks])
 
     def _attitude_clock(self) -> tuple[Parameter, ...]:
         sd = self.compass.time_offset_sd_s if self.compass else 0.0

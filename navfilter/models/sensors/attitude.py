@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.heading import USUAL, Heading, checked_north, with_declination_sd
 from navfilter.models.sensors.observable import Observable
@@ -87,10 +87,7 @@ class Attitude(Sensor):
     def __post_init__(self) -> None:
         super().__post_init__()
         checked_vector("Attitude.mounting_rad", self.mounting_rad)
-        if not (math.isfinite(self.misalignment_sd_rad) and self.misalignment_sd_rad >= 0.0):
-            raise ValueError(
-                f"Attitude.misalignment_sd_rad must be a finite number >= 0, found {self.misalignment_sd_rad!r}."
-            )
+        checked_number("Attitude.misalignment_sd_rad", self.misalignment_sd_rad)
         checked_north("Attitude", self)
 
     def at(self, start: Start) -> Attitude:

@@ -296,7 +296,7 @@ class WaterVelocity(BodyVelocity):
         uncertain.
         """
         blocks = {name: model.block(1.0 / self.rate_hz) for name, model in self.wandering().items()}
-        sds = ((name, math.sqrt(block.C @ block.P0 @ block.C)) for name, block in blocks.items())
+        sds = ((name, math.sqrt(block.state_variance)) for name, block in blocks.items())
         current = (Parameter(name, sd, "m_s") for name, sd in sds)
         hidden = (p for name, block in blocks.items() for p in hidden_states(name, block, "m_s"))
         return (*current, *hidden, *super().parameters())
