@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from navfilter.check.finding import Finding, Severity
+from navfilter.check.finding import Finding, Severity, by_severity
 from navfilter.check.magnetic_north import north_findings
 from navfilter.check.motion import compared_findings, motion_findings
 from navfilter.check.streams import stream_findings
@@ -77,8 +77,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     found += clock_findings(mission, vehicle)
     found += motion_findings(mission, vehicle)
     found += north_findings(mission, vehicle)
-    rank = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+    return by_severity(found)
 
 
 def data_findings(mission: Mission, vehicle: Vehicle) -> tuple[Finding, ...]:

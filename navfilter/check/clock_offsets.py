@@ -262,6 +262,5 @@ def far_finding(name: str, what: str, late_s: float) -> Iterator[Finding]:
     text = what.format(f"{abs(late_s):.1f} s {'late' if late_s > 0.0 else 'early'}")
     known = next((words for s, words in KNOWN.items() if abs(abs(late_s) - s) < STEP_S), "")
     cure = f"One of the two has another clock{f': {known}' if known else ''}. Set time.offset_s = {-late_s:.1f} in"
-    yield Finding(
-        "error", "clock", name, text, f"{cure} [streams.{name}] on top of what it is now, or the opposite there."
-    )
+    cure = f"{cure} [streams.{name}] on top of what it is now, or the opposite there."
+    yield Finding("error", "clock", name, text, cure)

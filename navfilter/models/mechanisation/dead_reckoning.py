@@ -282,16 +282,12 @@ class DeadReckoning(Mechanisation):
         if self.compass is not None:
             yield from (doubt._replace(field=f"attitude.{doubt.field}") for doubt in self.compass.doubts())
             if self.compass.temperature_sd_rad_per_k:
-                yield Doubt(
-                    "attitude.temperature_sd_rad_per_k",
-                    "dead reckoning estimates no drift with temperature.",
-                    "Leave it out.",
-                )
+                text = "dead reckoning estimates no drift with temperature."
+                yield Doubt("attitude.temperature_sd_rad_per_k", text, "Leave it out.")
         yield from (doubt._replace(field=f"velocity.{doubt.field}") for doubt in self.velocity_sensor.doubts())
         for part in self.described():
             models = part.given if isinstance(part.given, tuple) else (part.given,)
             if any(learning_part(model) is not None for model in models):
                 text = "the errors of what drives are never learnt: nothing measures them by themselves."
-                yield Doubt(
-                    part.place, text, "Give it a fixed model, such as the prior; only its prior is in force now."
-                )
+                cure = "Give it a fixed model, such as the prior; only its prior is in force now."
+                yield Doubt(part.place, text, cure)

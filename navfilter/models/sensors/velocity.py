@@ -199,11 +199,8 @@ class BodyVelocity(Sensor):
             yield angle_doubt("misalignment_sd_rad", most)
         most = max(checked_sds("scale_sd", self.scale_sd))
         if most > 0.2:
-            yield Doubt(
-                "scale_sd",
-                f"a scale error of {100.0 * most:.4g} % is unusual.",
-                "It is a pure number: 1 % is 0.01.",
-            )
+            cure = "It is a pure number: 1 % is 0.01."
+            yield Doubt("scale_sd", f"a scale error of {100.0 * most:.4g} % is unusual.", cure)
 
     def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """Scale, and the rotation vector of the misalignment."""
@@ -323,9 +320,8 @@ class WaterVelocity(BodyVelocity):
             yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
         if self.current_tau_s < 60.0:
             text = f"a current that is another one after {self.current_tau_s:.3g} s carries no position."
-            yield Doubt(
-                "current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error."
-            )
+            cure = "It is in seconds; currents last for hours. Eddies and waves belong to error."
+            yield Doubt("current_tau_s", text, cure)
 
 
 @dataclass(frozen=True, kw_only=True)
