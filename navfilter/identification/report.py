@@ -13,12 +13,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from navfilter.foundation.quoting import json_value
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
 from navfilter.io import units
 from navfilter.io.tracks.atomic_files import replacing
-from navfilter.io.vehicle_toml import _plain as toml_value
-from navfilter.io.vehicle_toml import _toml as toml_text
+from navfilter.io.vehicle_toml import error_text
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.interpretation import number
 from navfilter.rendering.drawing import style, svg
@@ -210,7 +210,7 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
     """
     scaled = _scaled(error, units.unit(unit).factor)
     python = " + ".join(f"nf.{part!r}" for part in scaled.terms)
-    return f"error = {toml_text(toml_value(scaled, type(scaled), 'error'))}", f"error={python}"
+    return f"error = {error_text(scaled, ())}", f"error={python}"
 
 
 def _scaled(error: ErrorModel, factor: float) -> ErrorModel:
@@ -280,21 +280,8 @@ def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:
         "error": {"toml": toml, "python": python},
         "remarks": list(found.remarks),
     }
-    return {key: plain(value) for key, value in result.items()}
+    return {key: json_value(value) for key, value in result.items()}
 
 
 def _pairs(roots: ArrayLike) -> list[list[float]]:
     return [[float(r.real), float(r.imag)] for r in np.asarray(roots)]
-
-
-def plain(value: Any) -> Any:
-    """Arrays as lists, NumPy numbers as Python's, numbers that are not finite as None."""
-    if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(part) for part in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

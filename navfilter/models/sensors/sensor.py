@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
@@ -18,7 +17,7 @@ from navfilter.models.learned_arma import resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
+from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, kind_name
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
@@ -345,7 +344,7 @@ class Sensor(FrozenDescription):
     @property
     def words(self) -> str:
         """What it measures, in words; default: the name of the class."""
-        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).lower()
+        return kind_name(type(self)).replace("-", " ")
 
     def stream_columns(self) -> tuple[str, ...]:
         """Names of the columns of its stream, those that must be there."""
