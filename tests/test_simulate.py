@@ -9,13 +9,14 @@ import pytest
 from scipy.signal import lfilter
 
 import navfilter.simulation.simulate as simulator
+from navfilter.foundation.arguments import within
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.models.mechanisation import DeadReckoning, Imu
 from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
-from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise, within
+from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.presets import (

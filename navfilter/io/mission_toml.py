@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arguments import within
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
@@ -121,11 +122,9 @@ def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -
 
 
 def _windowed(stream: Stream, spec: StreamSpec) -> Stream:
-    keep = np.ones(len(stream), dtype=bool)
+    keep = ~within(stream.time_s, spec.hide)
     if spec.windows:
-        keep = np.logical_or.reduce([(stream.time_s >= a) & (stream.time_s <= b) for a, b in spec.windows])
-    for a, b in spec.hide:
-        keep &= ~((stream.time_s >= a) & (stream.time_s <= b))
+        keep &= within(stream.time_s, spec.windows)
     return stream if keep.all() else stream.keep(keep)
 
 

@@ -284,10 +284,8 @@ class Mission(Value):
     def hide(self, name: str, *intervals: tuple[float, float]) -> Mission:
         """Without the readings of one stream inside the closed intervals (t0_s, t1_s)."""
         stream = self.stream(name)
-        keep = np.ones(len(stream), dtype=bool)
-        for t0_s, t1_s in given.intervals(intervals, "hide"):
-            keep &= ~((stream.time_s >= t0_s) & (stream.time_s <= t1_s))
-        return self.with_stream(name, stream.keep(keep))
+        hidden = given.within(stream.time_s, given.intervals(intervals, "hide"))
+        return self.with_stream(name, stream.keep(~hidden))
 
     def with_stream(self, name: str, stream: Stream) -> Mission:
         """A copy in which one stream is added or replaced."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import erfc, gammaincc
 
 from navfilter.filter.records import OUTCOMES
+from navfilter.foundation.arguments import within
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.sensors import Sensor
@@ -142,9 +143,7 @@ def withhold(
             f'"{sensor}" cannot be withheld: it is no correcting sensor of this vehicle (these are: {have}).'
         )
     stream = mission.stream(sensor)
-    inside = np.zeros(len(stream), bool)
-    for begin_s, end_s in intervals:
-        inside |= (stream.time_s >= begin_s) & (stream.time_s <= end_s)
+    inside = within(stream.time_s, intervals)
     if not inside.any():
         span = f"they lie from {stream.time_s[0]:.1f} to {stream.time_s[-1]:.1f} s" if len(stream) else "there are none"
         said = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in intervals)

@@ -14,7 +14,6 @@ from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
 from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
-from navfilter.report.figures import predicted_rms
 from navfilter.timeseries.diagnostics import acf
 from navfilter.track.track import Track
 
@@ -47,7 +46,7 @@ def position_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
     found: list[tuple[str, tuple[Part, ...]]] = []
     for number, (label, track) in enumerate(tracks.items()):
         hue, _ = colour(number)
-        predicted = predicted_rms(track)
+        predicted = track.horizontal_sd()
         error = track.errors(truth).horizontal
         parts = (
             Band(track.time_s, np.zeros(len(track)), predicted, f"{label}: up to the predicted rms", hue, 0.3),

@@ -35,7 +35,6 @@ __all__ = [
     "innovation_figure",
     "nis_figure",
     "position_figure",
-    "predicted_rms",
     "separation_figure",
 ]
 
@@ -69,11 +68,6 @@ def filters(tracks: Tracks) -> dict[str, Track]:
     for label, track in tracks.items():
         first.setdefault(id(track.forward or track), (label, track))
     return dict(first.values())
-
-
-def predicted_rms(track: Track) -> Array:
-    """Predicted rms of the horizontal position error [m], shape (n,)."""
-    return np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
 
 
 def depth_figure(tracks: Tracks, mission: Mission) -> Stack:
@@ -140,7 +134,7 @@ def position_figure(tracks: Tracks, truth: Stream | None) -> Stack:
         far[far < max(50.0, 0.02 * far[-1])] = np.nan
         if truth is not None:
             parts[3].append(Line(t, 100 * np.hypot(error[:, 0], error[:, 1]) / far, label, hue, dash))
-        predicted = 100 * predicted_rms(track) / far
+        predicted = 100 * track.horizontal_sd() / far
         parts[3].append(Line(t, predicted, f"{label}, predicted rms", hue, (0, (1, 1.2)), 0.9))
     names = ("north [m]", "east [m]", "down [m]")
     panels = [Panel(name, tuple(parts[i]), shape="symmetric", lines_at=(0.0,)) for i, name in enumerate(names)]
