@@ -77,38 +77,31 @@ BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
-    parser.add_argument("mission", metavar="MISSION")
-    parser.add_argument(
-        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
-    )
-    parser.add_argument(
-        "--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("mission", metavar="MISSION")
+    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add("--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})")
+    add(
         "--sensors",
         type=_names,
         metavar="A,B,..",
         help="sensors whose model is exchanged (default: all with enough readings)",
     )
-    parser.add_argument(
-        "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
-    )
-    parser.add_argument(
-        "--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'"
-    )
-    parser.add_argument("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
-    parser.add_argument("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
-    parser.add_argument(
+    add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
+    add("--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'")
+    add("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
+    add("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
+    add(
         "--output-rate",
         type=positive,
         default=5.0,
         metavar="HZ",
         help="rows of a track per second (default: %(default)s)",
     )
-    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
+    add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
     add_force_argument(parser)
     add_reading_arguments(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -103,17 +103,12 @@ examples:
 
 def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter demo``."""
-    parser.add_argument(
-        "--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--seed", type=whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)"
-    )
+    add = parser.add_argument
+    add("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
+    add("--seed", type=whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
+    add("--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)")
     add_force_argument(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 
@@ -163,17 +158,16 @@ def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path,
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter replay``."""
-    parser.add_argument("mission", metavar="MISSION", nargs="+")
-    parser.add_argument(
-        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
-    )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to")
+    add = parser.add_argument
+    add("mission", metavar="MISSION", nargs="+")
+    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add("--out", required=True, metavar="DIR", help="folder to write to")
     add_force_argument(parser)
     add_reading_arguments(parser)
-    parser.add_argument(
+    add(
         "--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
     )
-    parser.add_argument(
+    add(
         "--passes",
         type=whole,
         default=1,
@@ -181,7 +175,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
         "hardly known at the start",
     )
-    parser.add_argument(
+    add(
         "--iterate",
         type=whole,
         default=0,
@@ -189,54 +183,52 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
         "times (5 is plenty)",
     )
-    parser.add_argument(
-        "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
-    )
+    add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
     add_limit_argument(parser)
-    parser.add_argument(
+    add(
         "--control",
         metavar="FILE",
         help="compare the track with surveyed places, which the filter does not get: a table with the columns name, "
         "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
     )
-    parser.add_argument(
+    add(
         "--beside",
         action="append",
         default=[],
         metavar="DIR",
         help="show the track of another run in the report, too: the folder of its track.csv; may be repeated",
     )
-    parser.add_argument(
+    add(
         "--tiles",
         metavar="PATH",
         help="a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)",
     )
-    parser.add_argument(
+    add(
         "--backward",
         action="store_true",
         help="run the mission from its end to its beginning too, independently, and hold both runs against each other",
     )
     mission_part.add_arguments(parser)
-    parser.add_argument(
+    add(
         "--output-rate",
         type=row_rate,
         default=5.0,
         metavar="HZ",
         help="rows of the track per second; all: one at every sample of the drive (default: %(default)s)",
     )
-    parser.add_argument(
+    add(
         "--workers",
         type=whole,
         metavar="N",
         help="processes for several MISSIONs (default: as many as there are processors)",
     )
-    parser.add_argument(
+    add(
         "--no-report",
         action="store_false",
         dest="report",
         help="no report.html: drawing its figures takes longer than the filter and smoother do",
     )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 
