@@ -342,11 +342,7 @@ def _folds(
 
 
 def _whole(
-    wide: Vehicle,
-    before: Vehicle,
-    missions: Sequence[Mission],
-    each: Collection[str],
-    tell: Callable[[str], None],
+    wide: Vehicle, before: Vehicle, missions: Sequence[Mission], each: Collection[str], tell: Callable[[str], None]
 ) -> tuple[Estimate, Estimate, Vehicle]:
     """The estimate from everything, without the constants that were opened in vain; the one with them; the vehicle."""
     count = len(missions)
@@ -377,12 +373,7 @@ def _written(constants: Sequence[Constant], value: Array, sd: Array, told: NDArr
 
 
 def _result(
-    vehicle: Vehicle,
-    wide: Vehicle,
-    whole: Estimate,
-    first: Estimate,
-    folds: _Folds,
-    factor: float,
+    vehicle: Vehicle, wide: Vehicle, whole: Estimate, first: Estimate, folds: _Folds, factor: float
 ) -> Calibration:
     scatter, told = folds.scatter, whole.told(UNTOLD)
     sd = np.where(told, np.minimum(np.maximum(whole.sd, scatter), [one.sd for one in whole.constants]), whole.sd)

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import (
-    DRIFT_S,
-    ClockFit,
-    fitted_clock,
-    noisy_stretch_finding,
-    stretched_finding,
-)
+from navfilter.check.clock_offsets import DRIFT_S, ClockFit, fitted_clock, noisy_stretch_finding, stretched_finding
 from navfilter.check.course import SURE, mounting_of, through_water
 from navfilter.check.course_fit import Complex
 from navfilter.check.felt_velocity import felt_clock

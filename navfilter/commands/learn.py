@@ -73,10 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: all headings and velocities)",
     )
     parser.add_argument(
-        "--gap",
-        type=_gap,
-        metavar="S",
-        help="withhold fixes for so long at a time; inf: all but the outer ones",
+        "--gap", type=_gap, metavar="S", help="withhold fixes for so long at a time; inf: all but the outer ones"
     )
     parser.add_argument("--json", metavar="PATH", help="write what was learnt as JSON too")
     parser.add_argument("--no-report", action="store_false", dest="report", help="no page with pictures")

@@ -252,11 +252,7 @@ RULES: dict[str, Callable[[Array], AnyRule]] = {
 
 
 def adaptive_monitor(
-    vehicle: Vehicle,
-    rule: Callable[[Array], AnyRule],
-    sensors: Collection[str] | None = None,
-    *,
-    gated: bool = True,
+    vehicle: Vehicle, rule: Callable[[Array], AnyRule], sensors: Collection[str] | None = None, *, gated: bool = True
 ) -> FaultMonitor:
     """The monitor of a run whose sensors weigh their readings by a rule.
 

@@ -272,11 +272,7 @@ def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:
             for g in found.gauss_markov
         ],
         "allan": {"tau_s": found.allan_tau_s, "deviation": found.allan, "model": found.allan_model},
-        "quantisation": {
-            "step": data.step,
-            "sd": data.step / math.sqrt(12.0),
-            "too_coarse": bool(data.step > fit.sd),
-        },
+        "quantisation": {"step": data.step, "sd": data.step / math.sqrt(12.0), "too_coarse": bool(data.step > fit.sd)},
         "error": {"toml": toml, "python": python},
         "remarks": list(found.remarks),
     }

@@ -313,14 +313,8 @@ def _type_of(hint: Any, name: str, owner: type, kinds: Kinds) -> Any:
         models = {kind: cls for kind, cls in _concrete(ErrorModel, kinds).items() if cls is not owner}
         one: Any = _union("model", models, kinds)
         several: Any = Annotated[list[one], AfterValidator(_not_empty)]
-        either = Annotated[
-            Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")],
-            Discriminator(_one_or_sum),
-        ]
-        choices += [
-            Annotated[one, Tag("<one>")],
-            Annotated[several, Tag("<sum>")],
-        ]
+        either = Annotated[Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")], Discriminator(_one_or_sum)]
+        choices += [Annotated[one, Tag("<one>")], Annotated[several, Tag("<sum>")]]
         if not issubclass(owner, ErrorModel):
             axes: dict[str, Any] = dict.fromkeys(_axes_of(owner, name), (either, ...))
             choices.append(

@@ -47,10 +47,7 @@ GYRO_USUAL = Plausible(1e-8, 0.09, "deg_per_h", 6e-3, "deg_per_sqrt_h")  # 5 deg
 ACCEL_USUAL = Plausible(1e-7, 0.5, "mg", 0.05, "mg_per_sqrt_hz")  # 50 mg; 5 mg/sqrt(Hz)
 GYRO_PRIOR: Sum = White(density=1e-4) + RandomWalk(density=1e-6)
 #: Which axis reads how much of which other one; the accelerometers' axes are the body's, as far as three can be.
-CROSSED = {
-    "gyro": ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)),
-    "accel": ((1, 0), (2, 0), (2, 1)),
-}
+CROSSED = {"gyro": ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)), "accel": ((1, 0), (2, 0), (2, 1))}
 ACCEL_PRIOR: Sum = White(density=1e-3) + RandomWalk(density=1e-5)
 
 
