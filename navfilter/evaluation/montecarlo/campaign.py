@@ -113,22 +113,12 @@ def program() -> str:
     """Version, and a digest of the source that runs depend on: runs of a changed program must not be mixed with older
     ones.
     """
-    root = Path(__file__).parents[1]
-    aside = {
-        "commands",
-        "report",
-        "check",
-        "io",
-        "identification",
-        "montecarlo",
-        "cli.py",
-        "__main__.py",
-        "__init__.py",
-    }
+    root = Path(__file__).parents[2]
+    aside = {"commands", "report", "rendering", "check", "io", "identification", "service"}
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)
-        if place.parts[0] not in aside or place.name in ("scores.py", "slots.py"):
+        if place.parts[0] not in aside:
             digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return f"{version('navfilter')} {digest.hexdigest()[:12]}"
 
