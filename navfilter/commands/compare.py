@@ -15,6 +15,7 @@ from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
     compile_first,
+    figures_bar,
     output_folder,
     positive,
     read,
@@ -267,8 +268,6 @@ def write_results(
     comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool
 ) -> None:
     """Write report.html, comparison.csv and summary.json."""
-    from tqdm import tqdm
-
     from navfilter.evaluation.comparison import compare
     from navfilter.io.write import write_json
     from navfilter.report.comparison_page import adopted_models, write_comparison
@@ -284,6 +283,5 @@ def write_results(
         "adopted": adopted_models(tracks),
     }
     write_json(summary, folder / "summary.json")
-    bars = not quiet and sys.stderr.isatty()
-    with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
+    with figures_bar(quiet) as bar:
         write_comparison(comparison, tracks, mission, folder / "report.html", bar.update)

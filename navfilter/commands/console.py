@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from navfilter.foundation.quoting import printable
 
@@ -27,6 +27,7 @@ __all__ = [
     "compile_first",
     "complain",
     "count",
+    "figures_bar",
     "limits_of",
     "new_files",
     "output_folder",
@@ -196,6 +197,14 @@ def complain(text: str) -> None:
             if not select.select([], [sys.stderr.fileno()], [], 1.0)[1]:
                 return
         print(printable(text), file=sys.stderr, flush=True)
+
+
+def figures_bar(quiet: bool) -> Any:
+    """A bar that counts the figures of a page while they are drawn, on a terminal."""
+    from tqdm import tqdm
+
+    bars = not quiet and sys.stderr.isatty()
+    return tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]")
 
 
 def announce_compilation(say: Callable[[str], None]) -> bool:

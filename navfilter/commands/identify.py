@@ -170,23 +170,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _read(options: argparse.Namespace) -> Any:
     from navfilter.io.series import read_series
-    from navfilter.io.tables import TableOptions
     from navfilter.io.units import unit
 
-    layout = TableOptions(
-        table=options.table,
-        transpose=options.transpose,
-        skip_lines=options.skip_lines,
-        skip_rows=options.skip_rows,
-        topic=options.topic,
-    )
     series = read_series(
         options.file,
         options.column,
         rate_hz=options.rate_hz,
         time_column=options.time_column,
         time_unit=options.time_unit,
-        options=layout,
+        options=noise_sheet.layout(options),
         unpacked_bytes=unpacked_bytes(options),
     )
     if series.source != options.file and unit(options.unit).factor != 1.0:

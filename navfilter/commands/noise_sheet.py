@@ -13,6 +13,7 @@ from navfilter.commands.console import complain, show, unpacked_bytes
 
 if TYPE_CHECKING:
     from navfilter.io.inertial import ImuRecord
+    from navfilter.io.table import TableOptions
 
 __all__ = ["EPILOG", "add_arguments", "run"]
 
@@ -98,7 +99,6 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
 
 def _record(options: argparse.Namespace) -> ImuRecord:
     from navfilter.io.inertial import ImuColumns, read_imu
-    from navfilter.io.tables import TableOptions
 
     columns = ImuColumns(
         options.gyro,
@@ -109,11 +109,12 @@ def _record(options: argparse.Namespace) -> ImuRecord:
         options.time_unit,
         options.rate_hz,
     )
-    layout = TableOptions(
-        table=options.table,
-        transpose=options.transpose,
-        skip_lines=options.skip_lines,
-        skip_rows=options.skip_rows,
-        topic=options.topic,
-    )
-    return read_imu(options.file, columns, layout, unpacked_bytes(options)).part(options.from_s, options.to_s)
+    return read_imu(options.file, columns, layout(options), unpacked_bytes(options)).part(options.from_s, options.to_s)
+
+
+def layout(options: argparse.Namespace) -> TableOptions:
+    """How the file that was given is laid out."""
+    from navfilter.io.table import TableOptions
+
+    keys = ("table", "transpose", "skip_lines", "skip_rows", "topic")
+    return TableOptions(**{key: getattr(options, key) for key in keys})

@@ -19,6 +19,7 @@ from navfilter.commands.console import (
     add_reading_arguments,
     compile_first,
     complain,
+    figures_bar,
     limits_of,
     output_folder,
     positive,
@@ -330,15 +331,18 @@ def _write(
     assessment = assess(tracks, mission, withheld, limits, control, back)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
-    written += formats.write_own_formats(options, list(tracks.values())[-1], folder)
+    result = list(tracks.values())[-1]
+    written += formats.write_own_formats(options, result, folder)
     report = folder / "report.html"
     if drawn:
         from navfilter.io.tracks.reading import read_track
+        from navfilter.report.report import write_report
 
-        others = [read_track(path, result_of(tracks).vehicle) for path in getattr(options, "beside", ())]
+        others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]
         beside = {_unlike(other.label, tracks): other for other in others}
-        bars = not options.quiet and sys.stderr.isatty()
-        _write_report(tracks, mission, report, assessment, bars, beside, getattr(options, "tiles", None))
+        tiles = getattr(options, "tiles", None)
+        with figures_bar(options.quiet) as bar:
+            write_report(tracks, mission, report, bar.update, assessment, beside, tiles)
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
@@ -353,31 +357,9 @@ def _write(
     return NOT_TRUSTED if verdict.wrong else NOT_JUDGED
 
 
-def result_of(tracks: dict[str, Track]) -> Track:
-    """The last one."""
-    return list(tracks.values())[-1]
-
-
 def _unlike(label: str, tracks: dict[str, Track]) -> str:
     """A label that no run of this replay has."""
     return f"{label} (beside)" if label in tracks or label == "truth" else label
-
-
-def _write_report(
-    tracks: dict[str, Track],
-    mission: Mission,
-    path: Path,
-    assessment: Assessment,
-    bars: bool,
-    beside: dict[str, Track],
-    tiles: str | None,
-) -> None:
-    from tqdm import tqdm
-
-    from navfilter.report.report import write_report
-
-    with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
-        write_report(tracks, mission, path, bar.update, assessment, beside, tiles)
 
 
 def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:
