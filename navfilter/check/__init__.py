@@ -104,9 +104,7 @@ def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
             continue
         lines += ["", f"{heading}:"]
         for finding in of_kind:
-            lines.append(f"  {finding.stream + ': ' if finding.stream else ''}{finding.text}")
-            if finding.cure:
-                lines.append(f"      -> {finding.cure}")
+            lines += finding.lines()
     if not any(finding.severity == "error" for finding in findings):
         lines += ["", "No mistake found that would spoil a replay."]
     return "\n".join(lines)

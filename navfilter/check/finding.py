@@ -46,6 +46,11 @@ class Finding:
     text: str
     cure: str = ""
 
+    def lines(self) -> list[str]:
+        """As text: what was seen, and below it the cure."""
+        seen = f"  {self.stream + ': ' if self.stream else ''}{self.text}"
+        return [seen, f"      -> {self.cure}"] if self.cure else [seen]
+
 
 def by_severity(found: Iterable[Finding]) -> tuple[Finding, ...]:
     """Findings with errors first and facts last, otherwise in their order."""

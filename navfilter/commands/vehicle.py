@@ -85,9 +85,7 @@ def _check(options: argparse.Namespace) -> int:
         if of_kind:
             say(f"\n{heading}:")
         for finding in of_kind:
-            say(f"  {finding.stream + ': ' if finding.stream else ''}{finding.text}")
-            if finding.cure:
-                say(f"      -> {finding.cure}")
+            say("\n".join(finding.lines()))
     if not wrong:
         say("\nNothing looks wrong.")
     return FOUND if wrong else OK
