@@ -16,7 +16,7 @@ from navfilter.models.sensors import Sensor, traits
 from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
 from navfilter.track.track import ERRORS, Track
 
-__all__ = ["LAGS", "chi_square_range", "figures_of", "independent", "innovation_series", "shown_unit"]
+__all__ = ["LAGS", "chi_square_range", "figures_of", "independent", "innovation_series"]
 
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
@@ -112,7 +112,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
     z = np.abs(r.value[valid] / r.sd[valid])
     z = z[np.isfinite(z)]
     freedom = float(np.nansum(r.dof[r.used]))
-    unit, factor = shown_unit(sensor)
+    unit, factor = traits.shown_unit(sensor.unit)
     together = r.used & np.isin(r.time_s, common)
     axes = {}
     for i, axis in enumerate(sensor.axis_names):
@@ -134,11 +134,6 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
         "compared": int(together.sum()),
         "axes": axes,
     }
-
-
-def shown_unit(sensor: Sensor) -> tuple[str, float]:
-    """Unit in which a comparison shows residuals of a sensor, and its factor from SI."""
-    return traits.shown_unit(sensor.unit)
 
 
 def innovation_series(residuals: Residuals, axis: int, rows: NDArray[np.bool_] | None = None) -> Array:

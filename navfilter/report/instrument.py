@@ -20,7 +20,7 @@ from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour, draw, style, svg
 from navfilter.rendering.page import Scripts, Section, escape, figure_html, resource
 from navfilter.rendering.panels import Line, Panel, Stack
-from navfilter.report.live import Live, item_of, live_stack, plain, toolbox
+from navfilter.report.live import Live, item_of, live_stack, plain, plain_look, toolbox
 from navfilter.report.live_plan import COLOURINGS, live_plan
 from navfilter.report.plan_view import Plan, draw_plan
 from navfilter.report.state_figures import drive_residuals, shown_states
@@ -208,7 +208,5 @@ def any_item() -> dict[str, Any]:
     hue = colour(0)[0]
     plot.line("x", "y", source=source, line_color=hue, line_alpha=0.35, name="any")
     plot.scatter("x", "y", source=source, size=4, color=hue, fill_alpha=0.6, line_color=None, name="any")
-    plot.axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = "#e3e3e3"
-    plot.outline_line_color = None
+    plain_look(plot)
     return item_of(plot)

@@ -155,10 +155,15 @@ def _plot(stack: Stack, panel: Panel, x_range: Any, height: int) -> Any:
     )
     if panel.limits is None and not stack.x_label:
         plot.window_axis = "x"
-    plot.outline_line_color = None
-    plot.axis.axis_label_text_font_style = "normal"
     plot.yaxis.axis_label_text_font_size = "12px"
+    return plain_look(plot)
+
+
+def plain_look(plot: Any) -> Any:
+    """A plot without a frame, with upright labels and a grid that does not stand out."""
+    plot.axis.axis_label_text_font_style = "normal"
     plot.grid.grid_line_color = "#e3e3e3"
+    plot.outline_line_color = None
     return plot
 
 

@@ -26,7 +26,7 @@ from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import short
 from navfilter.report.figures import TRUTH
-from navfilter.report.live import Key, Live, item_of, plain, toolbox
+from navfilter.report.live import Key, Live, item_of, plain, plain_look, toolbox
 from navfilter.report.plan_view import CHART_ALPHA, Plan, PlanRun
 
 __all__ = ["COLOURINGS", "live_plan"]
@@ -102,9 +102,7 @@ def _plot(plan: Plan) -> Any:
     how = {"ticker": BasicTicker(desired_num_ticks=4), "formatter": BasicTickFormatter(use_scientific=False)}
     plot.add_layout(LinearAxis(x_range_name="deg", axis_label="longitude [deg]", **how), "above")
     plot.add_layout(LinearAxis(y_range_name="deg", axis_label="latitude [deg]", **how), "right")
-    plot.axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = "#e3e3e3"
-    plot.outline_line_color = None
+    plain_look(plot)
     plot.add_layout(
         ScaleBar(
             range=plot.x_range,

@@ -137,10 +137,7 @@ class Attitude(Sensor):
         """Angles of the instrument's axes, which are turned against what is believed."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 
-        declination = 0.0
-        if self.magnetic:
-            north, east, _ = truth.field_n()
-            declination = math.atan2(east, north) if self.declination_rad is None else self.declination_rad
+        declination = truth.declination(self.declination_rad) if self.magnetic else 0.0
         mounting = Rotation.from_euler("ZYX", self.mounting_rad[::-1])
         axes = Rotation.from_matrix(here.C_nb) * mounting * Rotation.from_rotvec(truth.drawn["misalignment"]).inv()
         angles = axes.as_euler("ZYX")[:, ::-1] + truth.error

@@ -292,10 +292,8 @@ class Heading(Sensor):
 
     def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""
-        declination = 0.0
-        if self.magnetic or self.magnetometer:
-            north, east, _ = truth.field_n()
-            declination = math.atan2(east, north) if self.declination_rad is None else self.declination_rad
+        of_field = self.magnetic or self.magnetometer
+        declination = truth.declination(self.declination_rad) if of_field else 0.0
         from_north = here.attitude[:, 2] - declination
         temperature = truth.water_temperature_c(here)
         warmth = temperature - self.reference_temperature_c

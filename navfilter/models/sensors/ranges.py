@@ -108,7 +108,6 @@ class Range(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_vector("Range.lever_arm_b_m", self.lever_arm_b_m)
         if min(checked_vector("Range.beacon_sd_m", self.beacon_sd_m)) < 0.0:
             raise ValueError(f"Range.beacon_sd_m must not be negative, found {self.beacon_sd_m!r}.")
         for name in ("scale_sd", "offset_sd_m"):

@@ -178,6 +178,8 @@ class Sensor(FrozenDescription):
             raise ValueError(
                 f"{name} has no clock of its own: it is made from the drive's samples. Leave the time_offset out."
             )
+        if self.has_lever_arm:
+            checked_vector(f"{name}.lever_arm_b_m", self.lever_arm_b_m)  # type: ignore[attr-defined]
         checked_vector(f"{name}.lever_arm_sd_m", self.lever_arm_sd_m)
         if min(self.lever_arm_sd_m) < 0.0:
             raise ValueError(f"{name}.lever_arm_sd_m must be three numbers >= 0, found {self.lever_arm_sd_m!r}.")

@@ -127,7 +127,7 @@ class Usbl(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("lever_arm_b_m", "transceiver_m", "transceiver_mounting_rad", "ship_sd_m"):
+        for name in ("transceiver_m", "transceiver_mounting_rad", "ship_sd_m"):
             checked_vector(f"Usbl.{name}", getattr(self, name))
         for name in ("misalignment_sd_rad", "scale_sd"):
             checked_number(f"Usbl.{name}", getattr(self, name))

@@ -95,7 +95,6 @@ class BodyVelocity(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_vector("BodyVelocity.lever_arm_b_m", self.lever_arm_b_m)
         checked_vector("BodyVelocity.mounting_rad", self.mounting_rad)
         for name in ("scale_sd", "misalignment_sd_rad"):
             checked_sds(f"{type(self).__name__}.{name}", getattr(self, name))
