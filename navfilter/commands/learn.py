@@ -19,7 +19,7 @@ from navfilter.commands.console import (
 )
 
 if TYPE_CHECKING:
-    from navfilter.calibration.over_dives import OverDives
+    pass
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -111,15 +111,11 @@ def run(options: argparse.Namespace) -> int:
         say(line)
     copied = write_over_dives(result.vehicle, to_table(result), out, options.vehicle)
     if options.report:
-        _draw(result, page)
+        from navfilter.report.over_dives_page import write_over_dives_page
+
+        write_over_dives_page(result, page)
     if options.json:
         Path(options.json).write_text(json.dumps(to_dict(result), indent=2) + "\n", encoding="utf-8")
     how = "" if copied else " (laid out anew, in SI units: your file could not be edited)"
     say(f"{out} written{how}" + (f", and {page} with pictures." if options.report else "."))
     return OK if result.tells else AS_IT_WAS
-
-
-def _draw(result: OverDives, path: Path) -> None:
-    from navfilter.report.over_dives_page import write_over_dives_page
-
-    write_over_dives_page(result, path)

@@ -210,9 +210,7 @@ def _inline(text: str, owner: str, spelled: str, keys: Mapping[str, str]) -> str
 
 def _alike(back: Vehicle, vehicle: Vehicle) -> bool:
     """Whether a vehicle that was read back is this one, but for rounding."""
-    if list(back.sensors) != list(vehicle.sensors):
-        return False
-    if list(back.driving) != list(vehicle.driving):
+    if list(back.sensors) != list(vehicle.sensors) or list(back.driving) != list(vehicle.driving):
         return False
     pairs: list[tuple[Any, Any]] = [(back.driving[name], drive) for name, drive in vehicle.driving.items()]
     pairs += [(back.drive.compass, vehicle.drive.compass), (back.drive.velocity_sensor, vehicle.drive.velocity_sensor)]
