@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,9 +28,7 @@ _MARKS = ("o", "s", "^")
 _GYRO, _ACCEL = 3600.0 * 180.0 / math.pi, 1e6 / 9.80665
 
 
-def write_sheet(
-    sheet: NoiseSheet, record: ImuRecord, folder: Path, progress: Callable[[], Any] | None = None
-) -> list[Path]:
+def write_sheet(sheet: NoiseSheet, record: ImuRecord, folder: Path) -> list[Path]:
     """Write identify.json, drive.toml, the figures and identify.html.
 
     Parameters
@@ -41,8 +38,6 @@ def write_sheet(
         That it was made from.
     folder : Path
         Must exist; files of the same name are replaced.
-    progress : callable, optional
-        Called after each figure.
     """
     body = [f"<p><b>{escape(sheet.verdict)}</b></p>"]
     for axes in groups(sheet):
@@ -58,9 +53,7 @@ def write_sheet(
         (folder / name).write_text(text, encoding="utf-8")
     with style():
         subtitle = f"inertial unit, {sheet.rate_hz:.6g} Hz, {sheet.duration_s:.0f} s"
-        figures = write_page(
-            folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record), progress
-        )
+        figures = write_page(folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record))
     return [*(folder / name for name in texts), *figures]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,13 @@ from navfilter.io.vehicle_toml import error_text
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.interpretation import number
 from navfilter.rendering.drawing import style, svg
-from navfilter.rendering.page import escape, figure_html, heading_html, page, table_html
+from navfilter.rendering.page import figure_html, heading_html, list_html, page, table_html
 from navfilter.timeseries.roots import root_sd
 
 __all__ = ["as_dict", "error_lines", "summary_text", "write_identification", "write_page"]
 
 
-def write_identification(
-    found: Identification, folder: Path, unit: str = "", progress: Callable[[], Any] | None = None
-) -> list[Path]:
+def write_identification(found: Identification, folder: Path, unit: str = "") -> list[Path]:
     """Write identify.json, one .svg per figure and identify.html.
 
     Parameters
@@ -40,8 +38,6 @@ def write_identification(
         Must exist; files of the same name are replaced.
     unit : str
         Unit of the series.
-    progress : callable, optional
-        Called after each figure.
 
     Returns
     -------
@@ -49,26 +45,15 @@ def write_identification(
     """
     body = [table_html(["", ""], _summary(found, unit), text_columns=(1,))]
     if found.remarks:
-        body.append("<ul>" + "".join(f"<li>{escape(remark)}</li>" for remark in found.remarks) + "</ul>")
+        body.append(list_html(found.remarks))
+    title, drawn = f"{found.data.name}: {found.reading.text}", identification_figures(found, unit)
     with style():
-        figures = write_page(
-            folder,
-            f"{found.data.name}: {found.reading.text}",
-            found.data.source,
-            body,
-            identification_figures(found, unit),
-            progress,
-        )
+        figures = write_page(folder, title, found.data.source, body, drawn)
     return [_write(folder / "identify.json", json.dumps(as_dict(found, unit), indent=1) + "\n"), *figures]
 
 
 def write_page(
-    folder: Path,
-    title: str,
-    subtitle: str,
-    body: list[str],
-    figures: Iterable[tuple[str, str, str, Figure]],
-    progress: Callable[[], Any] | None = None,
+    folder: Path, title: str, subtitle: str, body: list[str], figures: Iterable[tuple[str, str, str, Figure]]
 ) -> list[Path]:
     """Write each figure as .svg, and identify.html with all of them inside; stem, heading, caption and figure of
     each.
@@ -79,8 +64,6 @@ def write_page(
         drawn = svg(figure)
         written[-1].write_bytes(drawn)
         body += [heading_html(heading), figure_html(drawn, caption)]
-        if progress is not None:
-            progress()
     return [_write(folder / "identify.html", page(title, title, subtitle, body)), *written]
 
 
