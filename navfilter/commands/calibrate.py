@@ -67,27 +67,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("mission", nargs="+", metavar="MISSION", help="one or several missions of the same vehicle")
     add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     add("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
-    add(
-        "--open",
-        metavar="KINDS",
-        help="constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
-        "deviation, iron, offset, several with commas, or all",
+    about = (
+        "constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
+        "deviation, iron, offset, several with commas, or all"
     )
-    add(
-        "--each",
-        metavar="KINDS",
-        default="",
-        help="constants that are others in each mission (kinds or names, with commas), such as clocks that are set by "
-        "hand: estimated in each run, and left as described",
+    add("--open", metavar="KINDS", help=about)
+    about = (
+        "constants that are others in each mission (kinds or names, with commas), such as clocks that are set by "
+        "hand: estimated in each run, and left as described"
     )
-    add(
-        "--truth",
-        nargs="?",
-        type=positive,
-        const=0.1,
-        metavar="SD_M",
-        help="take the mission's truth as fixes with this sd in metres (default: %(const)s)",
-    )
+    add("--each", metavar="KINDS", default="", help=about)
+    about = "take the mission's truth as fixes with this sd in metres (default: %(const)s)"
+    add("--truth", nargs="?", type=positive, const=0.1, metavar="SD_M", help=about)
     add("--imu", metavar="NAME", help="of several inertial units: the one whose readings carry the state meanwhile")
     add("--json", metavar="PATH", help="write the table as JSON too")
     add_force_argument(parser)

@@ -82,23 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("mission", metavar="MISSION")
     add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     add("--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})")
-    add(
-        "--sensors",
-        type=_names,
-        metavar="A,B,..",
-        help="sensors whose model is exchanged (default: all with enough readings)",
-    )
+    about = "sensors whose model is exchanged (default: all with enough readings)"
+    add("--sensors", type=_names, metavar="A,B,..", help=about)
     add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
     add("--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'")
     add("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
     add("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
-    add(
-        "--output-rate",
-        type=positive,
-        default=5.0,
-        metavar="HZ",
-        help="rows of a track per second (default: %(default)s)",
-    )
+    about = "rows of a track per second (default: %(default)s)"
+    add("--output-rate", type=positive, default=5.0, metavar="HZ", help=about)
     add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
     add_force_argument(parser)
     add_reading_arguments(parser)

@@ -81,24 +81,18 @@ def show(text: str) -> None:
 
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what limits the trust in the files of a mission (see `read`)."""
-    parser.add_argument(
-        "--confine",
-        action="store_true",
-        help="refuse a mission that leads out of its folder: for one of people you do not know",
-    )
+    about = "refuse a mission that leads out of its folder: for one of people you do not know"
+    parser.add_argument("--confine", action="store_true", help=about)
     add_unpacking_argument(parser)
 
 
 def add_limit_argument(parser: argparse.ArgumentParser) -> None:
     """Add the sds that may be left of constants (see `limits_of`)."""
-    parser.add_argument(
-        "--limit",
-        action="append",
-        default=[],
-        metavar="NAME=SD",
-        help="a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
-        "clock=20ms; may be repeated",
+    about = (
+        "a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
+        "clock=20ms; may be repeated"
     )
+    parser.add_argument("--limit", action="append", default=[], metavar="NAME=SD", help=about)
 
 
 def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
@@ -110,13 +104,8 @@ def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
 
 def add_unpacking_argument(parser: argparse.ArgumentParser) -> None:
     """Add the limit of what compressed files may unpack to."""
-    parser.add_argument(
-        "--max-unpacked",
-        type=positive,
-        default=4.0,
-        metavar="GIB",
-        help="what the compressed files of a mission may unpack to, together (default: %(default)g)",
-    )
+    about = "what the compressed files of a mission may unpack to, together (default: %(default)g)"
+    parser.add_argument("--max-unpacked", type=positive, default=4.0, metavar="GIB", help=about)
 
 
 def unpacked_bytes(options: argparse.Namespace) -> int:
@@ -137,11 +126,8 @@ _OURS = ".navfilter"
 
 def add_force_argument(parser: argparse.ArgumentParser) -> None:
     """Add the consent to write where somebody's files are."""
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="write to --out also when navfilter did not make it; files of the same name are replaced",
-    )
+    about = "write to --out also when navfilter did not make it; files of the same name are replaced"
+    parser.add_argument("--force", action="store_true", help=about)
 
 
 def output_folder(path: str | Path, force: bool, plan: str = _OURS) -> Path:

@@ -55,11 +55,8 @@ LONG = 100_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("file", metavar="FILE")
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        help="folder to write to; with --imu or --json it may be left out, and nothing is written",
-    )
+    about = "folder to write to; with --imu or --json it may be left out, and nothing is written"
+    parser.add_argument("--out", metavar="DIR", help=about)
     add_force_argument(parser)
     add_unpacking_argument(parser)
     noise_sheet.add_arguments(parser)
@@ -74,13 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--time-unit", type=_unit, default="s", metavar="U", help="unit of that column (default: %(default)s)"
     )
-    data.add_argument(
-        "--unit",
-        type=_unit,
-        default="",
-        metavar="U",
-        help="unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI",
-    )
+    about = "unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI"
+    data.add_argument("--unit", type=_unit, default="", metavar="U", help=about)
     data.add_argument(
         "--table", default="", metavar="NAME", help='array of an .npz or .mat file, with planes: "counts", "data[0]"'
     )
@@ -96,13 +88,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     part.add_argument(
         "--decimate", type=count, default=1, metavar="M", help="keep every M-th sample, without averaging"
     )
-    part.add_argument(
-        "--reject",
-        type=float,
-        default=50.0,
-        metavar="K",
-        help="samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)",
-    )
+    about = "samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)"
+    part.add_argument("--reject", type=float, default=50.0, metavar="K", help=about)
     part.add_argument(
         "--max-samples", type=count, metavar="N", help="fit the middle N of a longer record (default: 50000)"
     )
@@ -115,13 +102,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     model.add_argument("--order", type=_order, metavar="P,Q", help="fit this order instead of choosing one")
     model.add_argument("--difference", type=whole, default=0, metavar="D", help="times to difference first (ARIMA)")
-    model.add_argument(
-        "--seasonal-lag",
-        type=whole,
-        default=0,
-        metavar="S",
-        help="model x[t] - x[t-S]: removes what repeats every S samples",
-    )
+    about = "model x[t] - x[t-S]: removes what repeats every S samples"
+    model.add_argument("--seasonal-lag", type=whole, default=0, metavar="S", help=about)
     model.add_argument("--detrend", action="store_true", help="estimate a straight line along with the coefficients")
     model.add_argument("--online", action="store_true", help="coefficients over time from the online estimator instead")
     model.add_argument(

@@ -65,13 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or one that navfilter learn has written"
     )
     parser.add_argument("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
-    parser.add_argument(
-        "--sensor",
-        action="append",
-        metavar="NAME",
-        help="a sensor to learn of, may be repeated; attitude, velocity, gyro and accel are those of the drive "
-        "(default: all headings and velocities)",
+    about = (
+        "a sensor to learn of, may be repeated; attitude, velocity, gyro and accel are those of the drive "
+        "(default: all headings and velocities)"
     )
+    parser.add_argument("--sensor", action="append", metavar="NAME", help=about)
     parser.add_argument(
         "--gap", type=_gap, metavar="S", help="withhold fixes for so long at a time; inf: all but the outer ones"
     )

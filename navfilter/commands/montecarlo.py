@@ -54,22 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("name", nargs="?", metavar="SCENARIO", help="see --list")
     add("--scenario", metavar="NAME", help="the same")
     add("--list", action="store_true", help="list the scenarios and stop")
-    add(
-        "--runs",
-        "--seeds",
-        type=count,
-        default=20,
-        metavar="N",
-        help="missions, with seeds from --seed on (default: %(default)s)",
-    )
-    add(
-        "--seed",
-        "--first-seed",
-        type=whole,
-        default=1,
-        metavar="S",
-        help="seed of the first mission (default: %(default)s)",
-    )
+    about = "missions, with seeds from --seed on (default: %(default)s)"
+    add("--runs", "--seeds", type=count, default=20, metavar="N", help=about)
+    about = "seed of the first mission (default: %(default)s)"
+    add("--seed", "--first-seed", type=whole, default=1, metavar="S", help=about)
     add("--models", "--rivals", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)")
     add("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
     add("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")

@@ -32,20 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     unit = parser.add_argument_group("an inertial unit")
     unit.add_argument("--imu", action="store_true", help="a noise sheet of all axes, from a record at rest")
     for name, example in (("gyro", "deg/s"), ("accel", "g")):
-        unit.add_argument(
-            f"--{name}",
-            type=_three,
-            default=(),
-            metavar="X,Y,Z",
-            help="its columns of a table (default: found by their names)",
-        )
-        unit.add_argument(
-            f"--{name}-unit",
-            type=_quantity,
-            default="",
-            metavar="U",
-            help=f'their unit; of raw counts with its factor, "0.05 {example}"',
-        )
+        about = "its columns of a table (default: found by their names)"
+        unit.add_argument(f"--{name}", type=_three, default=(), metavar="X,Y,Z", help=about)
+        about = f'their unit; of raw counts with its factor, "0.05 {example}"'
+        unit.add_argument(f"--{name}-unit", type=_quantity, default="", metavar="U", help=about)
 
 
 def _three(text: str) -> tuple[str, ...]:

@@ -168,67 +168,36 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
     )
-    add(
-        "--passes",
-        type=whole,
-        default=1,
-        metavar="N",
-        help="smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
-        "hardly known at the start",
+    about = (
+        "smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
+        "hardly known at the start"
     )
-    add(
-        "--iterate",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
-        "times (5 is plenty)",
+    add("--passes", type=whole, default=1, metavar="N", help=about)
+    about = (
+        "identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
+        "times (5 is plenty)"
     )
+    add("--iterate", type=whole, default=0, metavar="N", help=about)
     add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
     add_limit_argument(parser)
-    add(
-        "--control",
-        metavar="FILE",
-        help="compare the track with surveyed places, which the filter does not get: a table with the columns name, "
-        "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
+    about = (
+        "compare the track with surveyed places, which the filter does not get: a table with the columns name, "
+        "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)"
     )
-    add(
-        "--beside",
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="show the track of another run in the report, too: the folder of its track.csv; may be repeated",
-    )
-    add(
-        "--tiles",
-        metavar="PATH",
-        help="a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)",
-    )
-    add(
-        "--backward",
-        action="store_true",
-        help="run the mission from its end to its beginning too, independently, and hold both runs against each other",
-    )
+    add("--control", metavar="FILE", help=about)
+    about = "show the track of another run in the report, too: the folder of its track.csv; may be repeated"
+    add("--beside", action="append", default=[], metavar="DIR", help=about)
+    about = "a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)"
+    add("--tiles", metavar="PATH", help=about)
+    about = "run the mission from its end to its beginning too, independently, and hold both runs against each other"
+    add("--backward", action="store_true", help=about)
     mission_part.add_arguments(parser)
-    add(
-        "--output-rate",
-        type=row_rate,
-        default=5.0,
-        metavar="HZ",
-        help="rows of the track per second; all: one at every sample of the drive (default: %(default)s)",
-    )
-    add(
-        "--workers",
-        type=whole,
-        metavar="N",
-        help="processes for several MISSIONs (default: as many as there are processors)",
-    )
-    add(
-        "--no-report",
-        action="store_false",
-        dest="report",
-        help="no report.html: drawing its figures takes longer than the filter and smoother do",
-    )
+    about = "rows of the track per second; all: one at every sample of the drive (default: %(default)s)"
+    add("--output-rate", type=row_rate, default=5.0, metavar="HZ", help=about)
+    about = "processes for several MISSIONs (default: as many as there are processors)"
+    add("--workers", type=whole, metavar="N", help=about)
+    about = "no report.html: drawing its figures takes longer than the filter and smoother do"
+    add("--no-report", action="store_false", dest="report", help=about)
     add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
