@@ -163,12 +163,8 @@ def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
         return
     half = 0.1
     smooth = integral(time_s, force)
-    at = np.column_stack(
-        [
-            np.interp(edges + half, time_s, smooth[:, k]) - np.interp(edges - half, time_s, smooth[:, k])
-            for k in range(3)
-        ]
-    ) / (2.0 * half)
+    change = [np.interp(edges + half, time_s, axis) - np.interp(edges - half, time_s, axis) for axis in smooth.T]
+    at = np.column_stack(change) / (2.0 * half)
     turn = integral(time_s, -np.cross(rate, force))
     expected = np.column_stack([np.diff(np.interp(edges, time_s, turn[:, k])) for k in range(3)])
     seen = np.diff(at, axis=0)

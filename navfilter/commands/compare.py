@@ -191,19 +191,10 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     if fitted_kinds(plan.models):
         say(f"fitting models to {mission.name} ({mission.duration_s / 60:.1f} min) ...")
     vehicles = rivals(tuple(plan.models), vehicle, mission, sensors=plan.sensors, truth=plan.truth, start=start)
-    tracks = {}
+    tracks, how = {}, {"start": start, "output_rate_hz": plan.output_rate_hz, "progress": bars}
     for number, (name, other) in enumerate(vehicles.items(), 1):
         say(f"replaying with {name} ({number} of {len(vehicles)}) ...")
-        tracks[name] = replay_rival(
-            name,
-            other,
-            mission,
-            plan.sensors,
-            start=start,
-            smooth=name in plan.smooth,
-            output_rate_hz=plan.output_rate_hz,
-            progress=bars,
-        )
+        tracks[name] = replay_rival(name, other, mission, plan.sensors, smooth=name in plan.smooth, **how)
     return tracks
 
 

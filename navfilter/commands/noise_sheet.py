@@ -90,15 +90,8 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
 def _record(options: argparse.Namespace) -> ImuRecord:
     from navfilter.io.inertial import ImuColumns, read_imu
 
-    columns = ImuColumns(
-        options.gyro,
-        options.accel,
-        options.gyro_unit,
-        options.accel_unit,
-        options.time_column or "",
-        options.time_unit,
-        options.rate_hz,
-    )
+    units, time = (options.gyro_unit, options.accel_unit), (options.time_column or "", options.time_unit)
+    columns = ImuColumns(options.gyro, options.accel, *units, *time, options.rate_hz)
     return read_imu(options.file, columns, layout(options), unpacked_bytes(options)).part(options.from_s, options.to_s)
 
 

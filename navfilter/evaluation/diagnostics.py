@@ -286,11 +286,9 @@ def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Fi
     """Many readings that the gate rejected, or many on end."""
     share = r.count("rejected") / (r.count("used") + r.count("rejected"))
     longest, timeout_s = _longest_rejection(r), run.vehicle.sensors[name].gate_timeout_s
-    widened = (
-        f" Rejected for {longest:.0f} s on end, its gate was widened until it was let in."
-        if longest > timeout_s
-        else ""
-    )
+    widened = ""
+    if longest > timeout_s:
+        widened = f" Rejected for {longest:.0f} s on end, its gate was widened until it was let in."
     if r.count("rejected") >= limits.least and share > limits.rejected[0]:
         much = f"{100 * share:.0f} % of its readings were rejected{_typically(r, run.vehicle.sensors[name].axis_names)}"
         text = f"{much}: they contradict the others, or vehicle.toml.{widened}"
@@ -324,11 +322,9 @@ def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: boo
     learn = ' error = {model = "learned-arma"}, or' if run.vehicle.sensors[name].open_loop else ""
     cure = f"In vehicle.toml, give {name}{learn} another sd."
     if nis > limits.nis[0]:
-        text = f"its mean NIS is {nis:.1f} where 1 is honest: "
-        text += (
-            "not with that which is left out."
-            if explained
-            else f"the filter believes it {math.sqrt(nis):.1f} times too well."
+        why = f"the filter believes it {math.sqrt(nis):.1f} times too well"
+        text = (
+            f"its mean NIS is {nis:.1f} where 1 is honest: {'not with that which is left out' if explained else why}."
         )
         cure = "Describe first what is left out." if explained else cure
         yield Finding(_grade(nis, limits.nis), "nis", name, text, cure)

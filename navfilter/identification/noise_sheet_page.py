@@ -130,7 +130,7 @@ def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
     panels = figure.subplots(len(both), 1, sharex=True, squeeze=False)[:, 0]
     length = max(round(record.rate_hz), 1)
     blocks = len(record.value) // length
-    time = (np.arange(blocks) + 0.5) * length / record.rate_hz
+    time: Array = (np.arange(blocks, dtype=np.float64) + 0.5) * length / record.rate_hz
     for ax, axes in zip(panels, both, strict=True):
         factor, unit = _scale(axes)
         for k, axis in enumerate(axes):
@@ -138,14 +138,8 @@ def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
             known = np.isfinite(x)
             mean = np.where(known, x, 0.0).sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
             shown = np.asarray(factor * (mean - np.nanmedian(mean)), dtype=np.float64)
-            line(
-                ax,
-                np.asarray(time, dtype=np.float64),
-                shown,
-                color=COLOURS[(1, 5, 2)[k]],
-                linewidth=0.7,
-                label=axis.name.replace("_", " "),
-            )
+            label = axis.name.replace("_", " ")
+            line(ax, time, shown, color=COLOURS[(1, 5, 2)[k]], linewidth=0.7, label=label)
         for begin, end in sheet.stretches_s:
             ax.axvspan(begin, end, color="#999999", alpha=0.2, linewidth=0.0)
         ax.set_ylabel(f"{axes[0].name.split('_')[0]} [{unit}]")

@@ -213,16 +213,8 @@ def tracks_text(tracks: Tracks, unit: str = "") -> str:
     """Table for the terminal: a dozen looks, and the last model in words."""
     shown = np.unique(np.linspace(0, tracks.time_s.size - 1, 12).astype(int))
     per = f"{unit}/sqrt(s)" if unit else "1/sqrt(s)"
-    header = [
-        "time [s]",
-        "order",
-        "ar",
-        "ma",
-        "sd" + (f" [{unit}]" if unit else ""),
-        "largest pole",
-        f"bias walk [{per}]",
-        "white",
-    ]
+    sd = f"sd [{unit}]" if unit else "sd"
+    header = ["time [s]", "order", "ar", "ma", sd, "largest pole", f"bias walk [{per}]", "white"]
     rows = []
     for k in shown:
         ar, ma = (

@@ -83,15 +83,11 @@ def summary_text(found: Identification, unit: str = "") -> str:
 def _summary(found: Identification, unit: str) -> list[list[str]]:
     data, fit, tests = found.data, found.fit, found.tests
     u = f" {unit}" if unit else ""
-    sds = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    sds, length_s = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), data.value.size / data.rate_hz
     rows = [
         ["reading", found.reading.text],
         ["sizes", found.reading.details],
-        [
-            "samples",
-            f"{fit.n} at {data.rate_hz:.6g} Hz ({data.value.size / data.rate_hz:.6g} s), level "
-            f"{number(_level(found))}{u}",
-        ],
+        ["samples", f"{fit.n} at {data.rate_hz:.6g} Hz ({length_s:.6g} s), level {number(_level(found))}{u}"],
         ["order", _order(found)],
         ["ar", _coefficients(fit.ar, sds[: fit.p])],
         ["ma", _coefficients(fit.ma, sds[fit.p :])],
@@ -107,18 +103,12 @@ def _summary(found: Identification, unit: str) -> list[list[str]]:
     ]
     against = "" if np.isnan(data.value).any() else ", ln L {:+.1f} against it"
     for process in found.gauss_markov:
-        rows.append(
-            [
-                f"Gauss-Markov {process.order}",
-                f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s"
-                + against.format(process.loglik - fit.loglik),
-            ]
-        )
+        size = f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s"
+        rows.append([f"Gauss-Markov {process.order}", size + against.format(process.loglik - fit.loglik)])
     rows.append(["Allan deviation", _allan(found, u)])
     if data.step > 0.0:
-        rows.append(
-            ["quantisation", f"step {number(data.step)}{u}, rounding noise {number(data.step / math.sqrt(12.0))}{u}"]
-        )
+        rounding = number(data.step / math.sqrt(12.0))
+        rows.append(["quantisation", f"step {number(data.step)}{u}, rounding noise {rounding}{u}"])
     toml, python = error_lines(found.reading.error, unit)
     rows += [["vehicle.toml", toml], ["Python", python]]
     return [row for row in rows if row[1]]
@@ -213,15 +203,10 @@ def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:
     data, fit, table = found.data, found.fit, found.table
     poles, zeros = fit.model.poles, fit.model.zeros
     toml, python = error_lines(found.reading.error, unit)
-    criteria = (
-        {}
-        if table is None
-        else {
-            **{name: getattr(table, name) for name in ("loglik", "aic", "aicc", "bic", "hq", "sd")},
-            "wt": table.whiteness,
-            "is_white": table.is_white,
-        }
-    )
+    criteria: dict[str, Any] = {}
+    if table is not None:
+        criteria = {name: getattr(table, name) for name in ("loglik", "aic", "aicc", "bic", "hq", "sd")}
+        criteria |= {"wt": table.whiteness, "is_white": table.is_white}
     result = {
         "name": data.name,
         "source": data.source,

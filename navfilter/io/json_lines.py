@@ -181,11 +181,8 @@ class LineParser:
         except (ValueError, RecursionError) as error:
             if isinstance(error, _Wrong):
                 raise
-            reason = (
-                str(error).splitlines()[0]
-                if isinstance(error, json.JSONDecodeError)
-                else "too deep, or a number too long"
-            )
+            of_json = isinstance(error, json.JSONDecodeError)
+            reason = str(error).splitlines()[0] if of_json else "too deep, or a number too long"
             raise _Wrong("not-json", reason) from None
         if type(fields) is not dict:
             raise _Wrong("not-an-object", f"a line is an object {{...}}, found {type(fields).__name__}")

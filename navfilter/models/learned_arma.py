@@ -252,11 +252,9 @@ class LearnedArma(ErrorModel):
 
     def integrated(self, period_s: float) -> Integrated:
         """That of the prior while nothing has been learnt."""
-        return (
-            self.prior.integrated(period_s)
-            if self.model is None and self.prior is not None
-            else super().integrated(period_s)
-        )
+        if self.model is None and self.prior is not None:
+            return self.prior.integrated(period_s)
+        return super().integrated(period_s)
 
     @property
     def beside(self) -> tuple[ErrorModel, ...]:

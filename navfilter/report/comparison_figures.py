@@ -5,6 +5,7 @@ learnt.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -93,15 +94,8 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
             if known.size <= LAGS or np.ptp(known) == 0.0:
                 continue
             hue, dash = colour(number)
-            ax.plot(
-                range(1, LAGS + 1),
-                acf(series, LAGS)[1:],
-                color=hue,
-                linestyle=dash,
-                marker="o",
-                markersize=2.2,
-                label=no_formula(label),
-            )
+            how: dict[str, Any] = {"color": hue, "linestyle": dash, "marker": "o", "markersize": 2.2}
+            ax.plot(range(1, LAGS + 1), acf(series, LAGS)[1:], label=no_formula(label), **how)
             count = max(count, known.size)
         limit = 1.96 / np.sqrt(max(count, 1))
         ax.axhspan(-limit, limit, color="#bbbbbb", alpha=0.5, linewidth=0, label="95 % of white noise", zorder=0)

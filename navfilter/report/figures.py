@@ -156,18 +156,11 @@ def separation_figure(forward: Track, smoothed: Track) -> Stack:
     rows, scale = [0, 1, 2, 8], np.array([1.0, 1.0, 1.0, 180.0 / np.pi])
     variance = np.diagonal(forward.covariance - smoothed.covariance, axis1=1, axis2=2)[:, rows]
     sd, (hue, dash) = scale * np.sqrt(np.maximum(variance, 0.0)), colour(0)
-    panels = [
-        Panel(
-            name,
-            (
-                Band(forward.time_s, -sd[:, i], sd[:, i], "±1σ", hue),
-                Line(forward.time_s, values[:, i], "forward - smoothed", hue, dash),
-            ),
-            shape="symmetric",
-            lines_at=(0.0,),
-        )
-        for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]"))
-    ]
+    panels = []
+    for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]")):
+        band = Band(forward.time_s, -sd[:, i], sd[:, i], "±1σ", hue)
+        line = Line(forward.time_s, values[:, i], "forward - smoothed", hue, dash)
+        panels.append(Panel(name, (band, line), shape="symmetric", lines_at=(0.0,)))
     return Stack(tuple(panels))
 
 
@@ -240,11 +233,8 @@ def innovation_figure(track: Track, name: str) -> Stack:
     for i in measured:
         unit, factor = shown_unit(sensor.units[i]) if i < sensor.axes else ("", 1.0)
         seen = residuals.used & np.isfinite(residuals.sd[:, i])
-        t, value, bound = (
-            residuals.time_s[seen],
-            factor * residuals.value[seen, i],
-            3 * factor * residuals.sd[seen, i],
-        )
+        t, value = residuals.time_s[seen], factor * residuals.value[seen, i]
+        bound = 3 * factor * residuals.sd[seen, i]
         limit = 1.25 * max(_quantile(bound, 0.98), _quantile(np.abs(value), 0.998), 1e-12)
         parts: list[Part] = [
             Points(t, value, "used", USED) if len(t) <= 1500 else Line(t, value, "used", USED, width=0.5)

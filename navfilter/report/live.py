@@ -116,12 +116,8 @@ def live_stack(stack: Stack, clock: Clock) -> Live:
         keys += [_key(part) for part in legend_of(stack, row)]
         plots.append(plot)
     keys += [Key(m.label, m.hue, "band" if m.end_s > m.begin_s else "line") for m in stack.marks]
-    grid = gridplot(
-        [[plot] for plot in plots],
-        sizing_mode="stretch_width",
-        toolbar_location="above",
-        toolbar_options={"logo": None},
-    )
+    how: dict[str, Any] = {"sizing_mode": "stretch_width", "toolbar_location": "above"}
+    grid = gridplot([[plot] for plot in plots], toolbar_options={"logo": None}, **how)
     return Live(item_of(grid), list(dict.fromkeys(keys)), sum(heights) + 40)
 
 

@@ -103,15 +103,9 @@ def _plot(plan: Plan) -> Any:
     plot.add_layout(LinearAxis(x_range_name="deg", axis_label="longitude [deg]", **how), "above")
     plot.add_layout(LinearAxis(y_range_name="deg", axis_label="latitude [deg]", **how), "right")
     plain_look(plot)
-    plot.add_layout(
-        ScaleBar(
-            range=plot.x_range,
-            unit="m",
-            dimensional=Metric(base_unit="m", exclude=["dm", "dam", "hm"]),
-            location="bottom_left",
-            bar_length=0.2,
-        )
-    )
+    metric = Metric(base_unit="m", exclude=["dm", "dam", "hm"])
+    bar = ScaleBar(range=plot.x_range, unit="m", dimensional=metric, location="bottom_left", bar_length=0.2)
+    plot.add_layout(bar)
     return plot
 
 
@@ -120,13 +114,8 @@ def _chart(plot: Any, plan: Plan) -> None:
     assert plan.chart is not None
     west, east, south, north = plan.chart_edges()
     url = f"data:image/png;base64,{base64.b64encode(plan.chart.png).decode()}"
-    plot.image_url(
-        *([url], [west], [south], [east - west], [north - south]),
-        anchor="bottom_left",
-        alpha=CHART_ALPHA,
-        level="image",
-        name="chart",
-    )
+    where = [url], [west], [south], [east - west], [north - south]
+    plot.image_url(*where, anchor="bottom_left", alpha=CHART_ALPHA, level="image", name="chart")
 
 
 def _path(plot: Any, run: PlanRun, hue: str, shape: str) -> None:

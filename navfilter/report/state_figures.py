@@ -125,15 +125,8 @@ def steps_figure(track: Track, owner: str) -> tuple[Stack, str]:
     for axis, step, sd, unit in drive_residuals(track)[owner]:
         value, (hue, dash) = step / sd, colour(0)
         level = Level(-2.0, 2.0, "95 %")
-        panels.append(
-            Panel(
-                f"{owner} {axis}\n[sd]",
-                (Line(track.time_s, value, "residual", hue, dash),),
-                None,
-                "symmetric",
-                level=level,
-            )
-        )
+        line = Line(track.time_s, value, "residual", hue, dash)
+        panels.append(Panel(f"{owner} {axis}\n[sd]", (line,), None, "symmetric", level=level))
         if np.isfinite(value).any():
             at = int(np.nanargmax(np.abs(value)))
             largest.append(

@@ -296,13 +296,6 @@ def collect(campaign: Campaign, seeds: Sequence[int], models: Sequence[str], sto
         key: np.array([[record[key] for record in row] for row in records])
         for key in ("scores", "slots", "curves", "cpu_s")
     }
-    return Results(
-        campaign,
-        tuple(models),
-        np.array(seeds),
-        np.swapaxes(stacked["scores"], 1, 2),
-        np.swapaxes(stacked["slots"], 1, 2),
-        np.swapaxes(stacked["curves"], 1, 2),
-        curve_times(float(campaign.duration_s or 0.0)),
-        stacked["cpu_s"],
-    )
+    scores, slots, curves = (np.swapaxes(stacked[key], 1, 2) for key in ("scores", "slots", "curves"))
+    time_s = curve_times(float(campaign.duration_s or 0.0))
+    return Results(campaign, tuple(models), np.array(seeds), scores, slots, curves, time_s, stacked["cpu_s"])

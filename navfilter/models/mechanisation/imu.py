@@ -262,12 +262,7 @@ def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, 
                 given = list(learned.prior.terms)
             walks = [part for part in given if isinstance(part, RandomWalk)]
             rest = [part for part in given if not isinstance(part, RandomWalk)] or [White(sd=0.0)]
-            prior = sum_of(rest)
-            model = (
-                Sum((*beside, *walks, replace(learned, prior=prior)))
-                if beside or walks
-                else replace(learned, prior=prior)
-            )
+            model = sum_of([*beside, *walks, replace(learned, prior=sum_of(rest))])
         resolved.append(model)
     return tuple(resolved)
 

@@ -142,11 +142,8 @@ class Heading(Sensor):
     def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
         """What its equation leaves out: of iron, which is a tenth of the field and more, and of deviation."""
         if self.magnetometer:
-            return (
-                consistency.iron_second_order
-                if self.hard_iron_sd or self.soft_iron_sd
-                else consistency.tilt_second_order
-            )
+            of_iron = self.hard_iron_sd or self.soft_iron_sd
+            return consistency.iron_second_order if of_iron else consistency.tilt_second_order
         return consistency.deviation_second_order if any(self.deviation_sd_rad) else None
 
     @property
