@@ -23,15 +23,8 @@ __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text
 
 
 #: Words of a reader's note that is worth a look.
-GRAVER = (
-    "back in time",
-    "too many fields",
-    "cut short",
-    "no neighbour supports",
-    "without a number",
-    "without AM or PM",
-    "begin anew",
-)
+GRAVER: tuple[str, ...] = ("back in time", "too many fields", "cut short", "no neighbour supports")
+GRAVER += ("without a number", "without AM or PM", "begin anew")
 
 
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:

@@ -322,10 +322,9 @@ def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: boo
     learn = ' error = {model = "learned-arma"}, or' if run.vehicle.sensors[name].open_loop else ""
     cure = f"In vehicle.toml, give {name}{learn} another sd."
     if nis > limits.nis[0]:
-        why = f"the filter believes it {math.sqrt(nis):.1f} times too well"
-        text = (
-            f"its mean NIS is {nis:.1f} where 1 is honest: {'not with that which is left out' if explained else why}."
-        )
+        believed = f"the filter believes it {math.sqrt(nis):.1f} times too well"
+        why = "not with that which is left out" if explained else believed
+        text = f"its mean NIS is {nis:.1f} where 1 is honest: {why}."
         cure = "Describe first what is left out." if explained else cure
         yield Finding(_grade(nis, limits.nis), "nis", name, text, cure)
     elif nis < limits.modest:

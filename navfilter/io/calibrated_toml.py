@@ -21,19 +21,9 @@ __all__ = ["Unclear", "edited", "write_calibrated"]
 
 #: Fields that a calibration sets.
 _FIELDS = (
-    "time_offset_s",
-    "time_offset_sd_s",
-    "lever_arm_b_m",
-    "lever_arm_sd_m",
-    "mounting_rad",
-    "scale_sd",
-    "misalignment_sd_rad",
-    "bias_sd_rad",
-    "deviation_sd_rad",
-    "hard_iron_sd",
-    "soft_iron_sd",
-    "offset_sd_m",
-)
+    "time_offset_s", "time_offset_sd_s", "lever_arm_b_m", "lever_arm_sd_m", "mounting_rad", "scale_sd",
+    "misalignment_sd_rad", "bias_sd_rad", "deviation_sd_rad", "hard_iron_sd", "soft_iron_sd", "offset_sd_m",
+)  # fmt: skip
 #: Digits that are written: far finer than any sd.
 _DIGITS = 7
 

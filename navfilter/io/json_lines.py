@@ -52,18 +52,9 @@ __all__ = [
 LONGEST_LINE = 65536
 #: What can be wrong with a line.
 BAD_KINDS = (
-    "too-long",
-    "not-utf8",
-    "not-json",
-    "not-an-object",
-    "unknown-sensor",
-    "wrong-fields",
-    "wrong-type",
-    "wrong-size",
-    "not-finite",
-    "wrong-time",
-    "wrong-start",
-)
+    "too-long", "not-utf8", "not-json", "not-an-object", "unknown-sensor", "wrong-fields",
+    "wrong-type", "wrong-size", "not-finite", "wrong-time", "wrong-start",
+)  # fmt: skip
 Array = npt.NDArray[np.float64]
 #: Later than this no clock counts in seconds: milliseconds since 1970 are beyond it [s].
 LATEST_S = 1e11

@@ -26,16 +26,10 @@ Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
 
 TRUTH_COLUMNS = (
-    "latitude_rad",
-    "longitude_rad",
-    "height_m",
-    "v_north_m_s",
-    "v_east_m_s",
-    "v_down_m_s",
-    "roll_rad",
-    "pitch_rad",
-    "yaw_rad",
-)
+    "latitude_rad", "longitude_rad", "height_m",
+    "v_north_m_s", "v_east_m_s", "v_down_m_s",
+    "roll_rad", "pitch_rad", "yaw_rad",
+)  # fmt: skip
 NPZ_FORMAT = 1
 #: So many rows are looked at at a time.
 PIECE = 1 << 16
