@@ -165,9 +165,8 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", required=True, metavar="DIR", help="folder to write to")
     add_force_argument(parser)
     add_reading_arguments(parser)
-    add(
-        "--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
-    )
+    about = "smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
+    add("--smooth", action="store_true", help=about)
     about = (
         "smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
         "hardly known at the start"

@@ -70,9 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--input", metavar="FILE", help="file or pipe to read; - is standard input (default without --source)"
-    )
+    about = "file or pipe to read; - is standard input (default without --source)"
+    source.add_argument("--input", metavar="FILE", help=about)
     about = "wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it"
     source.add_argument("--listen", metavar="URL", help=about)
     source.add_argument("--replay-log", metavar="DIR", help="feed the log of an earlier run again")

@@ -29,15 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     about = "file to write, or the folder to write vehicle.toml into (default: here)"
     what.add_argument("--init", nargs="?", const="vehicle.toml", metavar="PATH", help=about)
-    what.add_argument(
-        "--check", metavar="TOML", help="the vehicle.toml to describe and to check, or the folder that holds it"
-    )
+    about = "the vehicle.toml to describe and to check, or the folder that holds it"
+    what.add_argument("--check", metavar="TOML", help=about)
     about = "with --init: what carries the state (default: %(default)s)"
     parser.add_argument("--drive", choices=("imu", "imus", "dead-reckoning"), default="imu", help=about)
     parser.add_argument("--force", action="store_true", help="with --init: replace a file that is there")
-    parser.add_argument(
-        "--quiet", action="store_true", help="print nothing but errors; of --check only the exit code counts"
-    )
+    about = "print nothing but errors; of --check only the exit code counts"
+    parser.add_argument("--quiet", action="store_true", help=about)
 
 
 def run(options: argparse.Namespace) -> int:
