@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.models.during import is_alias
 from navfilter.models.error_models import Block, block_diagonal
 from navfilter.models.parameters import Parameter, checked
 
@@ -153,7 +154,8 @@ class Layout:
     head : int
         Navigation states and the drive's: those that move with every sample of the drive.
     constants : (ndarray, ndarray, ndarray)
-        Places of all constant states that are not known for certain, their means and variances at the start.
+        Places of all constant states that are not known for certain, their means and variances at the start; once for
+        each instrument.
     """
 
     drive: Group
@@ -213,9 +215,9 @@ class Layout:
             start += groups[name].size
         own = [
             (g.start + i, g.x0[i], g.P0[i, i])
-            for g in (group, *groups.values())
+            for name, g in (("", group), *groups.items())
             for i in range(g.errors, g.size)
-            if not g.Q[i].any() and g.P0[i, i] > 0.0
+            if not is_alias(name) and not g.Q[i].any() and g.P0[i, i] > 0.0
         ]
         places, means, variances = np.ascontiguousarray(np.array(own, dtype=np.float64).reshape(-1, 3).T)
         return cls(group, groups, (places.astype(np.intp), means, variances))
