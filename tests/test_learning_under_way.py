@@ -282,6 +282,16 @@ class Says:
     memory, window = None, 4000
 
 
+def test_a_sensor_that_is_heard_late_is_learnt_all_the_same():
+    """At the first ages nothing had been heard of it yet: that ended the run."""
+    vehicle = survey_vehicle().with_error(dvl=nf.LearnedArma(), compass=nf.LearnedArma())
+    mission = simulate(vehicle, SCENARIOS["lawnmower"].motion(200.0), seed=1, duration_s=200.0)
+    dvl = mission.streams["dvl"]
+    late = mission.with_stream("dvl", dvl.keep(dvl.time_s > 60.0))
+    learnt = {name: len(models) for name, models in nf.replay(vehicle, late).error_models.items()}
+    assert learnt["compass"] > 1 and learnt["dvl"] > 1
+
+
 def test_where_nothing_is_learnt_the_last_model_stays():
     """Before a good one the prior, after it the good one."""
     vehicle = described("tactical").with_error(compass=nf.LearnedArma(prior=BELIEF["compass"]))

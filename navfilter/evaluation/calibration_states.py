@@ -55,13 +55,14 @@ def constants(track: Track) -> tuple[Constant, ...]:
     drive = vehicle.drive
     constant = constant_parameters(drive.all_parameters(), drive.wandering())
     given: list[tuple[str, str, str, Parameter]] = [("", p.name, p.name, p) for p in constant]
+    heard_s = {name: r.time_s.max(initial=-math.inf) for name, r in track.residuals.items()}
     for name, sensor in vehicle.sensors.items():
         others = {o: shared(sensor, s) for o, s in vehicle.sensors.items() if instrument(o) == instrument(name)}
         for p in constant_parameters(sensor.all_parameters(), sensor.wandering()):
             # of an instrument that was described otherwise for a time it stands where that was heard last
             same = [other for other, names in others.items() if p.name in names]
             if same[0] == name:
-                last = max(same, key=lambda other: track.residuals[other].time_s.max(initial=-math.inf))
+                last = max(same, key=lambda other: heard_s.get(other, -math.inf))
                 given.append((name, f"{name}.{p.name}", f"{last}.{p.name}", p))
     at = {name: i for i, name in enumerate(track.state_names)}
     return tuple(
