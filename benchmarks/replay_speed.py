@@ -142,8 +142,6 @@ def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Missio
         return learnt
 
     nf.replay(vehicle, mission)
-    if nf.replay(learning, mission).counts["given-up"]:
-        print("what is learnt is given up under way: this is not the price of learning")
     Learner.hop = timed  # type: ignore[method-assign]
     table = Table("turn>4d plain_s>9.2f learning_s>10.2f looks_s>9.2f adds>6.2f")
     for turn in range(turns):

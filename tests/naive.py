@@ -1662,19 +1662,6 @@ def _look_at_gravity(w, unit, dt):
         unit[1] = 1.0
 
 
-def is_within(x, P, at, mean, variance, limit):
-    off, told = (x[at - 9] - mean) / np.sqrt(variance), 1.0 - np.diag(P)[at] / variance
-    return off @ off < limit * told[told > 0.0].sum()
-
-
-def information_since(x, P, at, estimate, covariance, least, now, lost):
-    now[0], now[1:] = x[at - 9], P[np.ix_(at, at)]
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    told, axes = np.linalg.eigh((covariance - now[1:]) / np.outer(sd, sd))
-    change, counts = axes.T @ ((now[0] - estimate) / sd), told > least
-    return np.sum(change[counts] ** 2 / told[counts]), counts.sum()
-
-
 def largest_change(looks, now, walk, begin):
     added = walk * (now[0] - looks[:, [0]])
     lost = np.maximum(looks[:, 7:10] + added - now[7:10], 0.0)

@@ -12,6 +12,7 @@ from navfilter.check import check_mission, report_text
 from navfilter.check.motion import motion_findings
 from navfilter.io import geodesy, read_mission, read_vehicle
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
+from navfilter.models.state import wrap
 
 IMU = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s", "force_x_m_s2", "force_y_m_s2", "force_z_m_s2")
 V = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
@@ -59,7 +60,7 @@ def mission(
         "imu": Stream(m["t"], np.hstack([rate + noise(rate.shape, 1e-3), force + noise(force.shape, 0.02)]), IMU),
         "compass": Stream(
             m["t"][slow] + compass_delay_s,
-            geodesy.wrapped(heading[slow] + noise(heading[slow].shape, 0.005)),
+            wrap(heading[slow] + noise(heading[slow].shape, 0.005)),
             ("heading_rad",),
         ),
         "dvl": Stream(m["t"][slow] + dvl_delay_s, velocity[slow] + noise(velocity[slow].shape, 0.01), V),

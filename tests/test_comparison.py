@@ -12,10 +12,11 @@ from small_run import small_run
 
 import navfilter as nf
 from navfilter.evaluation import learned_text
-from navfilter.evaluation.consistency import chi_square_range, independent, innovation_series, shown_unit
+from navfilter.evaluation.consistency import chi_square_range, independent, innovation_series
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.models.error_models import GaussMarkov
 from navfilter.models.learned_arma import LearnedArma
+from navfilter.models.sensors.traits import shown_unit
 from navfilter.report.comparison_page import adopted_models, drawn, render_comparison
 from navfilter.timeseries.model import ArmaModel
 
@@ -82,7 +83,7 @@ def test_prediction_errors_and_whiteness_are_those_of_the_innovations(runs):
     assert abs(axis["largest_acf"]) == pytest.approx(np.abs(nf.acf(z, 20)[1:]).max(), rel=1e-9)
     assert (
         nf.compare({"a": track}).runs["a"]["sensors"]["dvl"]["unit"] == "m/s"
-        and shown_unit(track.vehicle.sensors["compass"])[0] == "deg"
+        and shown_unit(track.vehicle.sensors["compass"].unit)[0] == "deg"
     )
 
 

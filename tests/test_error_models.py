@@ -163,7 +163,7 @@ def test_simulated_errors_have_the_autocovariance(model):
         (lambda: nf.RandomWalk(density=1.0, start_sd=-1.0), r"RandomWalk\.start_sd"),
         (lambda: nf.GaussMarkov(sd=1.0, tau_s=0.0), r"GaussMarkov\.tau_s must be a finite number > 0"),
         (lambda: nf.Cycle(sd=1.0, period_s=0.0, tau_s=1.0), r"Cycle\.period_s must be a finite number > 0"),
-        (lambda: nf.Cycle(sd=-1.0, period_s=1.0, tau_s=1.0), r"Cycle\.sd must be a finite number not negative"),
+        (lambda: nf.Cycle(sd=-1.0, period_s=1.0, tau_s=1.0), r"Cycle\.sd must be a finite number >= 0"),
         (lambda: nf.GaussMarkov(sd=1.0, tau_s=1.0, order=5), "order must be 1, 2, 3 or 4, found 5"),
         (lambda: nf.Arma(ar=(-1.0,), sd=1.0), "pole of radius 1.000000.*RandomWalk"),
         (lambda: nf.Arma(ar=(-2.0, 1.5), sd=1.0), "pole of radius 1.2"),

@@ -216,8 +216,7 @@ def grown(steps):
 @pytest.mark.parametrize("steps", [30_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 def test_memory_does_not_grow(steps, monkeypatch):
     """Once the beginning is not kept any longer, which is after a thousand seconds."""
-    monkeypatch.setattr(LearningSchedule, "EARLY_S", (60.0,))
-    monkeypatch.setattr(LearningSchedule, "REVISED_S", 120.0)
+    monkeypatch.setattr(LearningSchedule, "EARLY_S", (60.0, 120.0))
     size, nav = grown(steps)
     assert nav.health.sensors["gps"].outcomes["late-replayed"] > steps // 200 and nav.counts["adopted"] > 0
     # The history holds 2 s: 20 checkpoints of some 15 kB, more when the learnt model has more states. That is the same

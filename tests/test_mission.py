@@ -376,9 +376,10 @@ def test_truth_lever_arm_moves_with_the_heading(tmp_path):
     )
     truth = read_mission(folder).truth
     assert truth is not None
-    moved = geodesy.north_east_m(truth.value[:, 0], truth.value[:, 1])
+    place = geodesy.ecef_from_geodetic(truth.value[:, :3])
+    moved = (place - place[0]) @ geodesy.ned_axes(truth.value[:1, 0], truth.value[:1, 1])[0].T
     # The truth point is 2 m ahead: the vehicle's own is 2 m west of it while it heads east, 2 m south when north.
-    np.testing.assert_allclose(moved - moved[0], [[0.0, 0.0], [0.0, 10.0], [3.0, 12.0]], atol=1e-4)
+    np.testing.assert_allclose(moved[:, :2], [[0.0, 0.0], [0.0, 10.0], [3.0, 12.0]], atol=1e-4)
 
 
 def test_environment_in_paths(monkeypatch, tmp_path):

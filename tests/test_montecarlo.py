@@ -164,6 +164,16 @@ def test_other_settings_are_refused_by_name(small, change):
     assert "there" in str(refused.value) and "--out" in str(refused.value)
 
 
+def test_the_program_is_all_that_a_run_depends_on(monkeypatch):
+    read = []
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.append(path) or b"")
+    campaigns.program.__wrapped__()
+    package = Path(campaigns.__file__).parents[2]
+    rooms = {path.relative_to(package).parts[0] for path in read if path.is_relative_to(package)}
+    assert rooms >= {"kernels", "filter", "faults", "learning", "playback", "simulation", "evaluation", "models"}
+    assert not rooms & {"commands", "report", "check"}
+
+
 def test_a_changed_program_does_not_continue_an_old_campaign(small, monkeypatch):
     monkeypatch.setattr(campaigns, "program", lambda: "9.9.9 feedbeef")
     with pytest.raises(ValueError, match="feedbeef"):

@@ -9,13 +9,14 @@ import pytest
 from scipy.signal import lfilter
 
 import navfilter.simulation.simulate as simulator
+from navfilter.foundation.arguments import within
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.models.mechanisation import DeadReckoning, Imu
 from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
-from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise, within
+from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.presets import (
@@ -25,7 +26,6 @@ from navfilter.simulation.presets import (
     rdi_dvl,
     tactical_imu,
     tcm2_compass,
-    tcm2_tilt,
 )
 from navfilter.simulation.scenarios import SCENARIOS, demo_mission, simulate_scenario
 from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
@@ -470,7 +470,6 @@ def test_presets_say_what_the_table_says():
     compass = tcm2_compass()
     assert math.sqrt(compass.models[0].block(0.125).P0[0, 0]) / DEG == pytest.approx(0.46, abs=0.005)
     assert tcm2_compass(calibrated=False).bias_sd_rad == pytest.approx(5.0 * DEG)
-    assert math.sqrt(tcm2_tilt().block(0.125).P0[0, 0]) == pytest.approx(0.2 * DEG)
     assert (rdi_dvl().scale_sd, rdi_dvl(long_range=True).scale_sd) == (0.002, 0.004)
     assert (rdi_dvl().rate_hz, motorola_gps().rate_hz, crossbow_imu().rate_hz) == (4.0, 1.0, 100.0)
     dgps, gps = motorola_gps().models[0].block(1.0), motorola_gps(differential=False).models[0].block(1.0)

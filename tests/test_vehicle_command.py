@@ -19,7 +19,7 @@ from navfilter.commands.cli import main
 from navfilter.filter.state_layout import Layout
 from navfilter.io import read_vehicle
 from navfilter.io.vehicle_template import DRIVES, vehicle_template
-from navfilter.io.vehicle_toml import _NOT_IN_FILES, _concrete, _kebab, _kinds
+from navfilter.io.vehicle_toml import _NOT_IN_FILES, _concrete, _kinds, kind_name
 from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import DeadReckoning, Imu
@@ -92,7 +92,7 @@ def test_the_template_is_what_it_says(tmp_path, drive):
     vehicle = written(tmp_path, vehicle_template(drive))
     assert list(vehicle.imus) == (["a", "b"] if drive == "imus" else [])
     assert list(vehicle.lanes()) == (["a", "b", "dead-reckoning"] if drive == "imus" else [])
-    assert _kebab(type(vehicle.drive)) == drive.removesuffix("s")
+    assert kind_name(type(vehicle.drive)) == drive.removesuffix("s")
     assert not [finding for finding in check_vehicle(vehicle) if finding.severity != "info"]
     expected = {"depth", "gps"} if drive == "dead-reckoning" else {"compass", "dvl", "depth", "gps"}
     assert set(vehicle.sensors) == expected
@@ -106,7 +106,7 @@ def test_the_templates_know_every_class_and_key():
     both = vehicle_template("imu") + vehicle_template("dead-reckoning")
     keys = set(re.findall(r"^#? ?(\w+) = ", both, flags=re.MULTILINE))
     for cls in (*_concrete(Sensor, kinds).values(), Imu, DeadReckoning):
-        assert f'type = "{_kebab(cls)}"' in both
+        assert f'type = "{kind_name(cls)}"' in both
         wanted = {re.sub(r"_rad(?=_|$)", "_deg", field.name) for field in dataclasses.fields(cls)}
         # Tables of their own.
         assert wanted - keys - {"attitude", "velocity"} == set(), cls

@@ -21,7 +21,7 @@ from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation import early_rerun
 from navfilter.simulation.campaigns import stage
 
-EARLY_S = (16.0, 25.0)
+EARLY_S = (16.0, 25.0, 30.0)
 #: Answers of the first hop are taken at 18 s, and the beginning is done again at 18.32 s.
 PENDING_S, AGAIN_S = 17.0, 18.2
 
@@ -29,7 +29,6 @@ PENDING_S, AGAIN_S = 17.0, 18.2
 @pytest.fixture(autouse=True)
 def few_hops(monkeypatch):
     monkeypatch.setattr(LearningSchedule, "EARLY_S", EARLY_S)
-    monkeypatch.setattr(LearningSchedule, "REVISED_S", 30.0)
 
 
 @pytest.fixture(scope="module")

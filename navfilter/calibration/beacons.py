@@ -147,12 +147,7 @@ def _moved(vehicle: Vehicle, mission: Mission, name: str) -> tuple[Range, tuple[
         sds = np.maximum(sds, [sd[-1] for _, sd in states])
         meridian, across = strapdown.radii(math.radians(latitude_deg))
         level = (across + height_m) * math.cos(math.radians(latitude_deg))
-        places.append(
-            (
-                latitude_deg + math.degrees(north / (meridian + height_m)),
-                longitude_deg + math.degrees(east / level),
-                height_m - down,
-            )
-        )
+        latitude_deg += math.degrees(north / (meridian + height_m))
+        places.append((latitude_deg, longitude_deg + math.degrees(east / level), height_m - down))
     moved = dataclasses.replace(ranges, beacons=tuple(places))  # type: ignore[call-arg]
     return moved, (float(sds[0]), float(sds[1]), float(sds[2]))  # type: ignore[return-value]

@@ -15,6 +15,7 @@ from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, d
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.foundation.arguments import needs
 from navfilter.foundation.display import Shown
+from navfilter.foundation.quoting import json_value
 from navfilter.models.error_models import White
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors import Position
@@ -342,11 +343,7 @@ def _folds(
 
 
 def _whole(
-    wide: Vehicle,
-    before: Vehicle,
-    missions: Sequence[Mission],
-    each: Collection[str],
-    tell: Callable[[str], None],
+    wide: Vehicle, before: Vehicle, missions: Sequence[Mission], each: Collection[str], tell: Callable[[str], None]
 ) -> tuple[Estimate, Estimate, Vehicle]:
     """The estimate from everything, without the constants that were opened in vain; the one with them; the vehicle."""
     count = len(missions)
@@ -377,12 +374,7 @@ def _written(constants: Sequence[Constant], value: Array, sd: Array, told: NDArr
 
 
 def _result(
-    vehicle: Vehicle,
-    wide: Vehicle,
-    whole: Estimate,
-    first: Estimate,
-    folds: _Folds,
-    factor: float,
+    vehicle: Vehicle, wide: Vehicle, whole: Estimate, first: Estimate, folds: _Folds, factor: float
 ) -> Calibration:
     scatter, told = folds.scatter, whole.told(UNTOLD)
     sd = np.where(told, np.minimum(np.maximum(whole.sd, scatter), [one.sd for one in whole.constants]), whole.sd)
@@ -399,38 +391,21 @@ def _result(
 
 
 def _listed(of: Estimate, sd: Array, scatter: Array, told: NDArray[np.bool_]) -> dict[str, Found]:
-    return {
-        one.name: Found(
-            one.name,
-            one.unit,
-            one.part,
-            one.value,
-            one.sd,
-            float(of.value[i]),
-            float(sd[i]),
-            float(scatter[i]),
-            bool(t),
-        )
-        for i, (one, t) in enumerate(zip(of.constants, told, strict=True))
-    }
+    rows = zip(of.constants, of.value.tolist(), sd.tolist(), scatter.tolist(), told.tolist(), strict=True)
+    return {one.name: Found(one.name, one.unit, one.part, one.value, one.sd, *numbers) for one, *numbers in rows}
 
 
 def to_dict(result: Calibration) -> dict[str, Any]:
     """The same as plain values, for a JSON file."""
 
-    def plain(prediction: Prediction | None) -> dict[str, Any] | None:
-        if prediction is None:
-            return None
-        values = asdict(prediction)
-        return {key: None if isinstance(v, float) and math.isnan(v) else v for key, v in values.items()}
-
+    before, after = (one and json_value(asdict(one)) for one in (result.before, result.after))
     return {
         "kept": result.kept,
         "why": result.why,
         "settled": result.settled,
         "rounds": result.rounds,
         "variance_factor": result.factor,
-        "before": plain(result.before),
-        "after": plain(result.after),
+        "before": before,
+        "after": after,
         "constants": [asdict(one) | {"part": ".".join(one.part)} for one in result.found],
     }

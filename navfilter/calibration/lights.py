@@ -25,16 +25,8 @@ LIGHTS = ("green", "orange", "red")
 #: Missions that agree scatter as much, or more, in one of so many cases: green, orange.
 AGREE, DOUBTFUL = 0.05, 0.001
 #: SI units of constants -> the dimension of a unit that a limit may have.
-_DIMENSIONS = {
-    "rad": "angle",
-    "s": "time",
-    "m": "length",
-    "1": "number",
-    "T": "magnetic field",
-    "m_s": "speed",
-    "rad_s": "angular rate",
-    "m_s2": "acceleration",
-}
+_DIMENSIONS = {"rad": "angle", "s": "time", "m": "length", "1": "number", "T": "magnetic field"}
+_DIMENSIONS |= {"m_s": "speed", "rad_s": "angular rate", "m_s2": "acceleration"}
 
 
 class Light(NamedTuple):

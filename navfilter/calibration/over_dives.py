@@ -527,7 +527,7 @@ def _after_gaps(track: Track, giving: Sequence[str]) -> list[_Fix]:
         if time_s - last >= LEAST_GAP_S:
             sensor = track.vehicle.sensors[name]
             blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models[:2]]
-            variance = np.array([b.r + float(b.C @ b.P0 @ b.C) for b in blocks])
+            variance = np.array([b.variance for b in blocks])
             fixes.append(_Fix(name, time_s, time_s - last, variance))
         last = time_s
     return fixes

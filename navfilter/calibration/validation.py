@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.foundation.arguments import within
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.held_out import Withheld, score
@@ -154,7 +155,7 @@ def _at_fixes(track: Track, mission: Mission, stretches: Stretches, part: int) -
     found = []
     for name in stretches.sensors:
         stream = mission.stream(name)
-        scored = score(track, Withheld(name, stream.keep(_inside(stream.time_s, stretches.parts[part]))))
+        scored = score(track, Withheld(name, stream.keep(within(stream.time_s, stretches.parts[part]))))
         if scored is not None:
             found.append(Prediction(scored.count, scored.rms_m, scored.sd_m, scored.inside, math.nan))
     return together(found)
@@ -164,18 +165,11 @@ def _by_innovations(track: Track, stretches: Stretches, part: int) -> Prediction
     cost, count = 0.0, 0
     for name in stretches.sensors:
         r = track.residuals[name]
-        rows = _inside(r.time_s, stretches.parts[part]) & np.isfinite(r.nis) & (r.dof > 0)
+        rows = within(r.time_s, stretches.parts[part]) & np.isfinite(r.nis) & (r.dof > 0)
         spread = np.log(np.where(np.isfinite(r.sd[rows]), np.maximum(r.sd[rows], 1e-12), 1.0)).sum()
         cost += float(0.5 * np.minimum(r.nis[rows], MOST_NIS).sum() + spread)
         count += int(rows.sum())
     return Prediction(count, math.nan, math.nan, math.nan, cost / count) if count else None
-
-
-def _inside(time_s: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
-    inside = np.zeros(len(time_s), dtype=bool)
-    for begin_s, end_s in intervals:
-        inside |= (time_s >= begin_s) & (time_s <= end_s)
-    return inside
 
 
 def together(found: Sequence[Prediction]) -> Prediction | None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from navfilter.check.finding import Finding, Severity
+from navfilter.check.finding import Finding, Severity, by_severity
 from navfilter.check.magnetic_north import north_findings
 from navfilter.check.motion import compared_findings, motion_findings
 from navfilter.check.streams import stream_findings
@@ -23,15 +23,8 @@ __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text
 
 
 #: Words of a reader's note that is worth a look.
-GRAVER = (
-    "back in time",
-    "too many fields",
-    "cut short",
-    "no neighbour supports",
-    "without a number",
-    "without AM or PM",
-    "begin anew",
-)
+GRAVER: tuple[str, ...] = ("back in time", "too many fields", "cut short", "no neighbour supports")
+GRAVER += ("without a number", "without AM or PM", "begin anew")
 
 
 def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:
@@ -77,8 +70,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
     found += clock_findings(mission, vehicle)
     found += motion_findings(mission, vehicle)
     found += north_findings(mission, vehicle)
-    rank = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+    return by_severity(found)
 
 
 def data_findings(mission: Mission, vehicle: Vehicle) -> tuple[Finding, ...]:
@@ -105,9 +97,7 @@ def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
             continue
         lines += ["", f"{heading}:"]
         for finding in of_kind:
-            lines.append(f"  {finding.stream + ': ' if finding.stream else ''}{finding.text}")
-            if finding.cure:
-                lines.append(f"      -> {finding.cure}")
+            lines += finding.lines()
     if not any(finding.severity == "error" for finding in findings):
         lines += ["", "No mistake found that would spoil a replay."]
     return "\n".join(lines)

@@ -19,7 +19,6 @@ __all__ = [
     "ClockFit",
     "far_finding",
     "fitted_clock",
-    "fitted_shift",
     "late_by",
     "late_path_by",
     "noisy_stretch_finding",
@@ -120,7 +119,7 @@ class ClockFit(NamedTuple):
     left_without: float
 
 
-def fitted_clock(reference: Series, other: Series, window_s: float, most_s: float = LEAST_S) -> ClockFit | None:
+def fitted_clock(reference: Series, other: Series, window_s: float) -> ClockFit | None:
     """Delay and rate of a series' clock against that of another; None where they have too little in common.
 
     Parameters
@@ -129,77 +128,44 @@ def fitted_clock(reference: Series, other: Series, window_s: float, most_s: floa
         Times [s] and values of what should be the same but for a constant factor.
     window_s : float
         Increments are compared over windows of this length.
-    most_s : float
-        Delays up to this are looked for.
     """
     begin, end = (pick(reference[0][i], other[0][i]) for pick, i in ((max, 0), (min, -1)))
-    edges = window_edges(begin + most_s, end - most_s - window_s, window_s / 4.0)
-    edges = without_gaps(edges, reference[0], other[0], window_s=window_s, gap_s=max(window_s, most_s))
+    edges = window_edges(begin + LEAST_S, end - LEAST_S - window_s, window_s / 4.0)
+    edges = without_gaps(edges, reference[0], other[0], window_s=window_s, gap_s=max(window_s, LEAST_S))
     if edges.size < 10 * LEAST_WINDOWS:
         return None
     middle = 0.5 * float(edges[0] + edges[-1])
 
-    def increments(series: Series, late_s: float, rate: float = 0.0) -> Array:
+    def increments(series: Series, late_s: float, rate: float) -> Array:
         ahead, here = (np.interp(at + late_s + rate * (at - middle), *series) for at in (edges + window_s, edges))
         return np.asarray(ahead - here)
 
-    by_s = 0.5 * float(np.median(np.diff(other[0])))
-    return fitted_shift(edges, increments(reference, 0.0), lambda *clock: increments(other, *clock), by_s, most_s)
+    wanted = increments(reference, 0.0, 0.0)
 
+    def alike(late_s: float, rate: float) -> float:
+        return correlation(wanted, increments(other, late_s, rate))[0]
 
-def fitted_shift(
-    edges: Array,
-    wanted: Array,
-    found: Callable[[float, float], Array],
-    by_s: float,
-    most_s: float = LEAST_S,
-    alike: float = 1.0 - LEFT,
-) -> ClockFit | None:
-    """As `fitted_clock`, of anything that a delay in the middle [s] and a rate change.
-
-    Parameters
-    ----------
-    edges : ndarray
-        Times of what is compared, (n,).
-    wanted : ndarray
-        What one clock shows, (n,) or (n, k).
-    found : callable
-        The same by the other clock that is so late, and runs so much too fast.
-    by_s : float
-        Delays are told by differences over twice this.
-    most_s : float
-        Delays up to this are looked for.
-    alike : float
-        Correlation below which the two have too little in common.
-    """
-    many = wanted[0].size
-    wanted, ahead_s = wanted.ravel(), np.repeat(edges - 0.5 * (edges[0] + edges[-1]), many)
-
-    def increments(late_s: float, rate: float) -> Array:
-        return found(late_s, rate).ravel()
-
-    late_s, rate = 0.0, 0.0
-    sd = np.array([math.inf, math.inf])
     # a clock that runs at another rate blurs any one delay: first the best of a few rates
-    grid = [(s, r) for s in np.linspace(-most_s, most_s, 41) for r in np.linspace(-RATE, RATE, 9)]
-    late_s, rate = max(grid, key=lambda one: correlation(wanted, increments(*one))[0])
+    grid = [(s, r) for s in np.linspace(-LEAST_S, LEAST_S, 41) for r in np.linspace(-RATE, RATE, 9)]
+    late_s, rate = max(grid, key=lambda one: alike(*one))
+    by_s = 0.5 * float(np.median(np.diff(other[0])))
+    sd = np.array([math.inf, math.inf])
     for _ in range(4):
-        here = increments(late_s, rate)
-        if correlation(wanted, here)[0] < alike:
+        here = increments(other, late_s, rate)
+        if correlation(wanted, here)[0] < 1.0 - LEFT:
             return None
-        change = (increments(late_s + by_s, rate) - increments(late_s - by_s, rate)) / (2.0 * by_s)
-        columns = np.column_stack([np.ones(wanted.size), here, change, change * ahead_s])
+        change = (increments(other, late_s + by_s, rate) - increments(other, late_s - by_s, rate)) / (2.0 * by_s)
+        columns = np.column_stack([np.ones(wanted.size), here, change, change * (edges - middle)])
         best, spread = factors(columns, wanted)
         if abs(best[1]) < 1e-9:
             return None
         late_s, rate = late_s + float(best[2] / best[1]), rate + float(best[3] / best[1])
         sd = np.abs(spread[2:] / best[1])
-        if abs(late_s) > most_s or abs(rate) > 2.0 * RATE:
+        if abs(late_s) > LEAST_S or abs(rate) > 2.0 * RATE:
             return None
-    left = 1.0 - correlation(wanted, increments(late_s, rate))[0] ** 2
     delays = late_s + np.linspace(-0.5, 0.5, 21) * abs(rate) * (edges[-1] - edges[0])
-    without = 1.0 - max(correlation(wanted, increments(float(s), 0.0))[0] for s in delays) ** 2
-    return ClockFit(float(late_s), float(sd[0]), float(rate), float(sd[1]), left, without)
+    without = 1.0 - max(alike(float(s), 0.0) for s in delays) ** 2
+    return ClockFit(float(late_s), float(sd[0]), float(rate), float(sd[1]), 1.0 - alike(late_s, rate) ** 2, without)
 
 
 def stretched_finding(name: str, what: str, fit: ClockFit, step_s: float, span_s: float) -> Finding:
@@ -262,6 +228,5 @@ def far_finding(name: str, what: str, late_s: float) -> Iterator[Finding]:
     text = what.format(f"{abs(late_s):.1f} s {'late' if late_s > 0.0 else 'early'}")
     known = next((words for s, words in KNOWN.items() if abs(abs(late_s) - s) < STEP_S), "")
     cure = f"One of the two has another clock{f': {known}' if known else ''}. Set time.offset_s = {-late_s:.1f} in"
-    yield Finding(
-        "error", "clock", name, text, f"{cure} [streams.{name}] on top of what it is now, or the opposite there."
-    )
+    cure = f"{cure} [streams.{name}] on top of what it is now, or the opposite there."
+    yield Finding("error", "clock", name, text, cure)

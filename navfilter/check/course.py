@@ -62,13 +62,8 @@ def course_findings(
     fast = float(np.nanquantile(speed, 0.99))
     if fast > 50.0:
         text = f"speeds up to {fast:.3g} m/s."
-        yield Finding(
-            "error",
-            "unit",
-            name,
-            text,
-            "Centimetres or millimetres per second, or a sentinel: set unit or invalid_above.",
-        )
+        cure = "Centimetres or millimetres per second, or a sentinel: set unit or invalid_above."
+        yield Finding("error", "unit", name, text, cure)
         return
     places = places_of(mission)
     headings = [(n, s) for n, s in mission.streams.items() if heading_of(s) is not None and n != name]
@@ -196,9 +191,8 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
     if fit.exchanged == 2 or (fit.exchanged and streams.gyro_agrees):
         where = "[truth]" if streams.position == "truth" else f"[streams.{streams.position}]"
         text = "the course over ground fits the velocity only with latitude and longitude exchanged."
-        yield Finding(
-            "error", "exchanged", streams.position, text, f"Exchange the first two columns of position in {where}."
-        )
+        cure = f"Exchange the first two columns of position in {where}."
+        yield Finding("error", "exchanged", streams.position, text, cure)
         return
     if fit.residual > LOOSE:
         text = f"velocity turned by {heading} does not follow the position (unexplained {100 * fit.residual:.0f} %)."

@@ -20,6 +20,7 @@ __all__ = [
     "Paths",
     "axes_of_the_earth",
     "course_fit",
+    "displacement",
     "paths_of",
     "places_of",
     "share",
@@ -84,11 +85,7 @@ class Paths:
 
     def moved(self, times: Array, path: Complex) -> Complex:
         """Displacement along a path within each window."""
-        ahead, here = (
-            np.interp(at, times, path.real) + 1j * np.interp(at, times, path.imag)
-            for at in (self.edges + WINDOW_S, self.edges)
-        )
-        return ahead - here
+        return displacement(self.edges, WINDOW_S, times, path)
 
     def way(self, body: Complex, late_s: float = 0.0, heading_sign: int = 1, rate: float = 0.0) -> Complex:
         """Displacement by dead reckoning within each window, of a velocity so late in the middle, so much too fast."""
@@ -146,6 +143,14 @@ def without_gaps(edges: Array, *clocks: Array, window_s: float = WINDOW_S, gap_s
         last = np.searchsorted(times, edges + window_s)
         edges = edges[before[np.minimum(last, times.size - 1)] == before[np.maximum(first, 0)]]
     return edges
+
+
+def displacement(edges: Array, window_s: float, times: Array, path: Complex) -> Complex:
+    """Along a path, within each window."""
+    ahead, here = (
+        np.interp(at, times, path.real) + 1j * np.interp(at, times, path.imag) for at in (edges + window_s, edges)
+    )
+    return np.asarray(ahead - here)
 
 
 def share(way: Complex, wanted: Complex) -> tuple[float, complex]:

@@ -14,7 +14,7 @@ from navfilter.filter.state_layout import Layout
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.learning.open_loop_series import TAKEN_AFTER_S
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.models.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.parameters import Parameter, constant_parameters
@@ -101,10 +101,9 @@ def _drive_lines(title: str, drive: Mechanisation, names: Sequence[str]) -> Iter
 
 def _not_learnt(model: ErrorModel) -> ErrorModel:
     """The prior in place of what would be learnt: of readings that drive nothing is."""
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    known = [part.prior if isinstance(part, LearnedArma) and part.model is None else part for part in parts]
+    known = [part.prior if isinstance(part, LearnedArma) and part.model is None else part for part in model.terms]
     given = [part for part in known if part is not None]
-    return sum(given[1:], start=given[0]) if given else model
+    return sum_of(given) if given else model
 
 
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
@@ -179,8 +178,7 @@ def _parameter_lines(parameters: tuple[Parameter, ...]) -> Iterator[str]:
 def _wandering_lines(wandering: dict[str, ErrorModel], units: dict[str, str], period_s: float) -> Iterator[str]:
     """States that are not constant, with how they wander."""
     for key, model in wandering.items():
-        parts = model.parts if isinstance(model, Sum) else (model,)
-        texts = " + ".join(_part(part, units[key], period_s) for part in parts)
+        texts = " + ".join(_part(part, units[key], period_s) for part in model.terms)
         yield _line(key.replace("_", " "), f"estimated, {texts}")
 
 
@@ -210,12 +208,11 @@ def describe_error(model: ErrorModel, unit: str, period_s: float, at_rest: bool 
     >>> describe_error(GaussMarkov(sd=0.1, tau_s=30.0), "m", 1.0)[0]
     'Gauss-Markov of first order: sd 0.1 m, correlation time 30 s'
     """
-    parts = model.parts if isinstance(model, Sum) else (model,)
     lines = []
-    for k, part in enumerate(parts):
+    for k, part in enumerate(model.terms):
         lines.append(f"{'+ ' if k else ''}{_part(part, unit, period_s, at_rest)}")
         if isinstance(part, LearnedArma) and part.model is None and part.prior is not None:
-            before = [_part(inner, unit, period_s) for inner in getattr(part.prior, "parts", (part.prior,))]
+            before = [_part(inner, unit, period_s) for inner in part.prior.terms]
             within = part.prior_within
             so_far = f"; believed within a factor of {within[0]:g} in sd, {within[1]:g} in time" if within else ""
             lines.append(f"  until then {' + '.join(before)}{so_far}")
@@ -253,7 +250,7 @@ def _part(model: ErrorModel, unit: str, period_s: float, at_rest: bool = False) 
 def _arma(name: str, order: tuple[int, int], model: ErrorModel, unit: str, period_s: float) -> str:
     block = model.block(period_s)
     times = _time_constants(block, period_s)
-    total = math.sqrt(float(block.C @ block.P0 @ block.C) + block.r)
+    total = math.sqrt(block.variance)
     return f"{name}({order[0]}, {order[1]}): sd {amount(total, unit)}{'; ' if times else ''}{', '.join(times)}"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from navfilter.check.clock_offsets import LEAST_S, RATE, ClockFit
+from navfilter.check.course_fit import without_gaps
 from navfilter.check.series import factors, integral, vector, window_edges
 from navfilter.models.mission import Array, Stream
 
@@ -104,10 +105,7 @@ def _fit(
 ) -> tuple[tuple[float, float] | None, ClockFit | None]:
     """Where it begins, and the fit with windows of one length."""
     edges = window_edges(time_s[0], time_s[-1] - 3.0 * length_s, 0.5 * length_s)
-    wide = np.concatenate([[0], np.cumsum(np.diff(time_s) > 1.5 * length_s)])
-    first = np.maximum(np.searchsorted(time_s, edges, side="right") - 1, 0)
-    last = np.minimum(np.searchsorted(time_s, edges + 3.0 * length_s), time_s.size - 1)
-    edges = edges[wide[first] == wide[last]]
+    edges = without_gaps(edges, time_s, window_s=3.0 * length_s, gap_s=1.5 * length_s)
     if edges.size < LEAST_WINDOWS:
         return begin, None
     middle = 0.5 * float(time_s[0] + time_s[-1])

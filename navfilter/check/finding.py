@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,9 +15,7 @@ OfValues = Literal["empty", "stuck", "held", "mark", "quantised", "leaps", "unit
 OfMotion = Literal["exchanged", "course", "heading", "habit", "iron", "north", "datum"]
 OfVehicle = Literal["sd", "bias", "lacking", "omitted", "arm-or-clock", "constant", "untold", "correlation"]
 #: Of a track, of the unit that drives it, and of its sensors:
-OfTrack = Literal[
-    "diverged", "impossible", "unbounded", "reset", "opened", "given-up", "surfacing", "drift", "backward"
-]
+OfTrack = Literal["diverged", "impossible", "unbounded", "reset", "opened", "surfacing", "drift", "backward"]
 OfDrive = Literal["lane", "samples", "noisy", "silent", "realigned", "shifted", "left-out"]
 OfSensor = Literal["unheard", "unused", "lost", "jumped", "rejected", "widened", "component", "nis"]
 Code = OfStream | OfValues | OfMotion | OfVehicle | OfTrack | OfDrive | OfSensor
@@ -44,3 +43,14 @@ class Finding:
     stream: str
     text: str
     cure: str = ""
+
+    def lines(self) -> list[str]:
+        """As text: what was seen, and below it the cure."""
+        seen = f"  {self.stream + ': ' if self.stream else ''}{self.text}"
+        return [seen, f"      -> {self.cure}"] if self.cure else [seen]
+
+
+def by_severity(found: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings with errors first and facts last, otherwise in their order."""
+    rank = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))

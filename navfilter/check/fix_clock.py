@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.check.clock_offsets import LEAST_S, RATE, SURER, ClockFit
-from navfilter.check.course_fit import Complex, Paths, without_gaps
+from navfilter.check.course_fit import Complex, Paths, displacement, without_gaps
 from navfilter.check.series import factors, integral, window_edges
 from navfilter.models.mission import Array
 
@@ -99,19 +99,12 @@ class _Windows(NamedTuple):
         edges = window_edges(begin, end - length_s, max(length_s / 3.0, (end - begin) / MOST_WINDOWS))
         gap_s = max(0.5 * length_s, 3.0 * float(np.median(np.diff(times))))
         edges = without_gaps(edges, times, paths.time_s, window_s=length_s, gap_s=gap_s)
-        return cls(edges, length_s, _moved(edges, length_s, times, paths.places.plane))
+        return cls(edges, length_s, displacement(edges, length_s, times, paths.places.plane))
 
     def part(self, begin_s: float, end_s: float) -> _Windows:
         """Those of a time."""
         inside = (self.edges >= begin_s) & (self.edges + self.length_s <= end_s)
         return _Windows(self.edges[inside], self.length_s, self.wanted[inside])
-
-
-def _moved(edges: Array, length_s: float, times: Array, path: Complex) -> Complex:
-    ahead, here = (
-        np.interp(at, times, path.real) + 1j * np.interp(at, times, path.imag) for at in (edges + length_s, edges)
-    )
-    return np.asarray(ahead - here)
 
 
 def _fit(
@@ -131,7 +124,7 @@ def _fit(
         turn = np.exp(1j * np.interp(stamps if whole else at, *paths.heading))
         pairs = (paths.body[near] * turn).view(float).reshape(-1, 2)
         path = integral(stamps if whole else at, pairs) @ np.array([1.0, 1j])
-        return _moved(of.edges, of.length_s, at, path), _moved(of.edges, of.length_s, at, turn)
+        return displacement(of.edges, of.length_s, at, path), displacement(of.edges, of.length_s, at, turn)
 
     def left(of: _Windows, late_s: float, rate: float) -> tuple[complex, Complex]:
         """Scale and turn, and what is left of the displacements."""

@@ -41,8 +41,8 @@ from navfilter.check.vertical import (
 )
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.foundation.display import counted
-from navfilter.io.geodesy import wrapped
 from navfilter.models.mission import Array, Mission, Stream
+from navfilter.models.state import wrap
 
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
@@ -140,9 +140,8 @@ def _gravity(name: str, imu: Stream) -> Iterator[Finding]:
     largest = int(np.argmax(np.abs(mean)))
     if largest != 2 or abs(mean[2]) < 0.7 * size:
         text = f"gravity lies mostly along the {'xyz'[largest]} axis ({mean[largest]:+.2f} m/s^2), not along z."
-        yield Finding(
-            "error", "axes", name, text, "Put the axes in the order forward, right, down (axes, mounting_deg)."
-        )
+        cure = "Put the axes in the order forward, right, down (axes, mounting_deg)."
+        yield Finding("error", "axes", name, text, cure)
     elif mean[2] > 0.0:
         text = f"the specific force along z is {mean[2]:+.2f} m/s^2 at rest; with z down it is -9.8."
         yield Finding("error", "sign", name, text, 'Is z up? Then axes = "x,-y,-z" for rates and forces both.')
@@ -164,12 +163,8 @@ def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
         return
     half = 0.1
     smooth = integral(time_s, force)
-    at = np.column_stack(
-        [
-            np.interp(edges + half, time_s, smooth[:, k]) - np.interp(edges - half, time_s, smooth[:, k])
-            for k in range(3)
-        ]
-    ) / (2.0 * half)
+    change = [np.interp(edges + half, time_s, axis) - np.interp(edges - half, time_s, axis) for axis in smooth.T]
+    at = np.column_stack(change) / (2.0 * half)
     turn = integral(time_s, -np.cross(rate, force))
     expected = np.column_stack([np.diff(np.interp(edges, time_s, turn[:, k])) for k in range(3)])
     seen = np.diff(at, axis=0)
@@ -180,9 +175,8 @@ def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
             wrong.append(f"gyro {gyro} against accelerometer {'xyz'[axis]} (correlation {agreement:.2f})")
         elif agreement > LITTLE and not 1 / 5 < slope < 5:
             text = f"gyro {gyro} is {1 / slope:.3g} times what the turning of gravity says."
-            yield Finding(
-                "error", "unit", name, text, f"Degrees for radians would be {180 / math.pi:.1f}; check the unit."
-            )
+            cure = f"Degrees for radians would be {180 / math.pi:.1f}; check the unit."
+            yield Finding("error", "unit", name, text, cure)
     if wrong:
         cure = "Gyro and accelerometer must have the same right-handed axes: check the signs of both."
         yield Finding("error", "axes", name, f"gravity turns the wrong way: {'; '.join(wrong)}.", cure)
@@ -201,7 +195,7 @@ def _angles(name: str, stream: Stream) -> Iterator[Finding]:
     for column in ("heading_rad", "yaw_rad"):
         if column in stream.columns:
             angle = stream.column(column)
-            step = np.abs(np.remainder(np.diff(angle) + np.pi, 2 * np.pi) - np.pi)
+            step = np.abs(wrap(np.diff(angle)))
             period = float(np.median(np.diff(stream.time_s))) if len(stream) > 1 else 1.0
             # Degrees read as radians and wrapped look random: the median step of random angles is a quarter turn.
             if np.nanmedian(step) > 0.5 and period <= 1.5:
@@ -262,9 +256,8 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
         yield Finding("error", "sign", name, text, cure)
         return
     text = f"the heading follows {gyro}: correlation {match.correlation:.2f}, slope {match.slope:.3f}"
-    yield Finding(
-        "info", "heading", name, f"{text}, {abs(match.late_s):.2f} s {'late' if match.late_s >= 0 else 'early'}."
-    )
+    late = f"{abs(match.late_s):.2f} s {'late' if match.late_s >= 0 else 'early'}"
+    yield Finding("info", "heading", name, f"{text}, {late}.")
     # A loose match says nothing about a scale of 0.7, but a factor of 57 shows in any.
     if not (0.7 < match.slope < 1.4 if match.correlation > 0.9 else 0.2 < match.slope < 5.0):
         cure = "A slope of 57.3 or 0.017 is degrees for radians; another one a wrong scale, or an uncalibrated compass."
@@ -286,14 +279,12 @@ def _field(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     mean, scatter = float(np.nanmean(size)), float(np.nanstd(size))
     if not 15e-6 < mean < 80e-6:
         text = f"the magnetic field is {mean * 1e6:.3g} uT; the Earth's is 22 to 67."
-        yield Finding(
-            "warning", "unit", name, text, "Check the unit; the heading does not need it, the calibration does."
-        )
+        cure = "Check the unit; the heading does not need it, the calibration does."
+        yield Finding("warning", "unit", name, text, cure)
     if mean > 0.0 and scatter > 0.04 * mean:
         text = f"the strength of the field varies by {100 * scatter / mean:.0f} %: iron on board."
-        yield Finding(
-            "warning", "iron", name, text, "Calibrate (hard_iron, soft_iron), or give the compass deviation states."
-        )
+        cure = "Calibrate (hard_iron, soft_iron), or give the compass deviation states."
+        yield Finding("warning", "iron", name, text, cure)
     place = next((s for s in (mission.truth, *mission.streams.values()) if s and "latitude_rad" in s.columns), None)
     if place is not None and np.isfinite(place.column("latitude_rad")).any():
         latitude = float(np.nanmedian(place.column("latitude_rad")))
@@ -308,35 +299,24 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         return
     latitude, longitude = stream.column("latitude_rad"), stream.column("longitude_rad")
     if float(np.nanmax(np.abs(latitude), initial=0.0)) > 0.5 * math.pi:
-        yield Finding(
-            "error", "unit", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.'
-        )
+        cure = 'Degrees for radians (unit = "deg"), or swapped columns.'
+        yield Finding("error", "unit", name, "latitudes beyond 90 deg.", cure)
         return
     if abs(float(np.nanmedian(latitude))) > POLAR and abs(middle(longitude)) < POLAR:
         usual_deg = math.degrees(float(np.nanmedian(latitude)))
         text = f"latitudes around {usual_deg:.0f} deg: are latitude and longitude exchanged?"
-        yield Finding(
-            "warning",
-            "exchanged",
-            name,
-            text,
-            f"If so, exchange the first two columns of position in [streams.{name}].",
-        )
+        cure = f"If so, exchange the first two columns of position in [streams.{name}]."
+        yield Finding("warning", "exchanged", name, text, cure)
     north = np.diff(latitude) * EARTH_RADIUS_M
-    east = wrapped(np.diff(longitude)) * np.cos(latitude[1:]) * EARTH_RADIUS_M
+    east = wrap(np.diff(longitude)) * np.cos(latitude[1:]) * EARTH_RADIUS_M
     step = np.diff(stream.time_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)
     jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
     if jumps:
         text = f"{counted(jumps, 'jumps')} faster than 60 m/s between fixes."
-        yield Finding(
-            "warning",
-            "leaps",
-            name,
-            text,
-            "The gate will refuse outliers; make sure that the run starts on a good fix.",
-        )
+        cure = "The gate will refuse outliers; make sure that the run starts on a good fix."
+        yield Finding("warning", "leaps", name, text, cure)
 
 
 def _pressure(name: str, stream: Stream) -> Iterator[Finding]:
@@ -344,10 +324,5 @@ def _pressure(name: str, stream: Stream) -> Iterator[Finding]:
         lowest = float(np.nanmin(stream.column("pressure_Pa")))
         if lowest < 5e4:
             text = f"an absolute pressure of {lowest:.4g} Pa is below any at sea level."
-            yield Finding(
-                "error",
-                "unit",
-                name,
-                text,
-                'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.',
-            )
+            cure = 'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.'
+            yield Finding("error", "unit", name, text, cure)

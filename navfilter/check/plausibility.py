@@ -8,13 +8,13 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from navfilter.check.finding import Finding
+from navfilter.check.finding import Finding, by_severity
 from navfilter.check.units_text import amount, duration, root_density
 from navfilter.filter.state_layout import Layout
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.learning.setup import span_s
 from navfilter.learning.slow_prior import slow_prior
-from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma, learning_part
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.sensors import Sensor
@@ -63,8 +63,7 @@ def check_vehicle(vehicle: Vehicle) -> tuple[Finding, ...]:
     for name, sensor in vehicle.sensors.items():
         found += _sensor_findings(f"sensors.{name}", sensor)
     found += _whole_findings(vehicle)
-    rank = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(dict.fromkeys(found), key=lambda finding: rank[finding.severity]))
+    return by_severity(dict.fromkeys(found))
 
 
 def _warn(place: str, text: str, cure: str) -> Finding:
@@ -94,11 +93,8 @@ def _sensor_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
     if sensor.plausible is not None:
         if sensor.rate_hz > sensor.plausible.most_rate_hz:
             text = f"{sensor.rate_hz:g} Hz is unusual for this kind of sensor."
-            yield _warn(
-                f"{place}.rate_hz",
-                text,
-                "It is in Hz, the readings per second; a held value that is repeated is no new reading.",
-            )
+            cure = "It is in Hz, the readings per second; a held value that is repeated is no new reading."
+            yield _warn(f"{place}.rate_hz", text, cure)
         channel = _Channel(sensor.unit, sensor.plausible, sensor.axis_names)
         yield from _errors(f"{place}.error", sensor.error, sensor.models, channel, 1.0 / sensor.rate_hz)
     yield from (_warn(f"{place}.{doubt.field}", doubt.text, doubt.cure) for doubt in sensor.doubts())
@@ -109,9 +105,8 @@ def _sensor_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
     yield from _lever_findings(place, sensor)
     if sensor.gate_probability < 0.95:
         share = 1.0 - sensor.gate_probability
-        yield _warn(
-            f"{place}.gate_probability", f"refuses {100.0 * share:.3g} % of good readings.", "Usual: 0.999 or 0.9999."
-        )
+        cure = "Usual: 0.999 or 0.9999."
+        yield _warn(f"{place}.gate_probability", f"refuses {100.0 * share:.3g} % of good readings.", cure)
 
 
 def _lever_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
@@ -141,9 +136,8 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
         yield _warn("", f"{size} states are many.", cure)
     yield from _surface_findings(vehicle)
     if "position" not in corrected:
-        yield Finding(
-            "info", "lacking", "sensors", "no position fixes: the error of the position grows without bound.", ""
-        )
+        text = "no position fixes: the error of the position grows without bound."
+        yield Finding("info", "lacking", "sensors", text, "")
     if vehicle.drive.inertial:
         if not corrected & {"position", "velocity"}:
             cure = (
@@ -151,19 +145,13 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
             )
             yield _warn("sensors", "nothing corrects position or velocity.", cure)
         if "heading" not in corrected:
-            yield Finding(
-                "info",
-                "lacking",
-                "sensors",
-                "no compass: the heading is only seen through fixes while the vehicle accelerates.",
-                "",
-            )
+            text = "no compass: the heading is only seen through fixes while the vehicle accelerates."
+            yield Finding("info", "lacking", "sensors", text, "")
         return
     for name, sensor in vehicle.sensors.items():
         if sensor.from_drive:
-            yield _warn(
-                f"sensors.{name}", "rest is detected from an inertial unit; dead reckoning has none.", "Leave it out."
-            )
+            text = "rest is detected from an inertial unit; dead reckoning has none."
+            yield _warn(f"sensors.{name}", text, "Leave it out.")
 
 
 # --- error models ---------------------------------------------------------------------------------------------------
@@ -176,11 +164,9 @@ def _errors(
     several = isinstance(given, tuple)
     for k, model in enumerate(models if several else models[:1]):
         here = f"{place}.{channel.axes[k]}" if several else place
-        parts = model.parts if isinstance(model, Sum) else (model,)
-        for j, part in enumerate(parts):
-            yield from _part_findings(f"{here}[{j}]" if len(parts) > 1 else here, part, channel, period_s)
-        block = model.block(period_s)
-        total = math.sqrt(float(block.C @ block.P0 @ block.C) + block.r)
+        for j, part in enumerate(model.terms):
+            yield from _part_findings(f"{here}[{j}]" if len(model.terms) > 1 else here, part, channel, period_s)
+        total = math.sqrt(model.block(period_s).variance)
         if total < channel.usual.least_sd:
             size = "nothing" if total == 0.0 else f"only {amount(total, channel.unit)}"
             other = f", or in another unit as sd_{channel.usual.suffix}" if channel.usual.suffix else ""
@@ -191,9 +177,8 @@ def _errors(
 def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: float) -> Iterator[Finding]:
     if isinstance(part, White) and part.density is not None:
         if part.density > channel.usual.most_density:
-            yield _too_large(
-                f"{place}.density", part.density, root_density(part.density, channel.unit), channel.usual.density_suffix
-            )
+            size = root_density(part.density, channel.unit)
+            yield _too_large(f"{place}.density", part.density, size, channel.usual.density_suffix)
         elif math.isinf(channel.usual.most_density):
             yield from _sd_findings(f"{place}.density", part.density / math.sqrt(period_s), channel)
     elif isinstance(part, White | GaussMarkov):
@@ -211,29 +196,22 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
                 f"A window of {max(int(1800.0 / period_s), 200)} readings takes half an hour or less; models of "
                 "slow sensors need fewer."
             )
-            yield _warn(
-                f"{place}.window",
-                f"{part.window} readings are {duration(part.window * period_s)} of this sensor.",
-                cure,
-            )
+            text = f"{part.window} readings are {duration(part.window * period_s)} of this sensor."
+            yield _warn(f"{place}.window", text, cure)
         if part.prior_within and part.prior:
             usual, known = (
                 slow_prior(part.prior, period_s, span_s(part, period_s), within=within)
                 for within in (None, part.prior_within)
             )
             if usual and usual == known:
-                yield _warn(
-                    f"{place}.prior_within",
-                    f"the prior has no slow error, of {duration(float(usual.taus_s[0]))} or slower, to be believed.",
-                    "Quicker ones the readings show: leave prior_within out.",
-                )
-        for k, prior in enumerate(getattr(part.prior, "parts", (part.prior,))):
-            if prior is not None:
-                inner = f"{place}.prior[{k}]" if isinstance(part.prior, Sum) else f"{place}.prior"
-                yield from _part_findings(inner, prior, channel, period_s)
+                text = f"the prior has no slow error, of {duration(float(usual.taus_s[0]))} or slower, to be believed."
+                yield _warn(f"{place}.prior_within", text, "Quicker ones the readings show: leave prior_within out.")
+        priors = part.prior.terms if part.prior else ()
+        for k, prior in enumerate(priors):
+            inner = f"{place}.prior[{k}]" if len(priors) > 1 else f"{place}.prior"
+            yield from _part_findings(inner, prior, channel, period_s)
     else:
-        block = part.block(period_s)
-        yield from _sd_findings(place, math.sqrt(float(block.C @ block.P0 @ block.C) + block.r), channel)
+        yield from _sd_findings(place, math.sqrt(part.block(period_s).variance), channel)
     if isinstance(part, GaussMarkov):
         if part.tau_s < period_s:
             text = (
@@ -242,11 +220,8 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
             )
             yield _warn(f"{place}.tau_s", text, "Between readings nothing is left of it: use white.")
         elif part.tau_s > 1e5:
-            yield _warn(
-                f"{place}.tau_s",
-                f"a correlation time of {duration(part.tau_s)}.",
-                "It is in seconds. For a bias use random-walk.",
-            )
+            cure = "It is in seconds. For a bias use random-walk."
+            yield _warn(f"{place}.tau_s", f"a correlation time of {duration(part.tau_s)}.", cure)
 
 
 def _sd_findings(place: str, sd: float, channel: _Channel) -> Iterator[Finding]:

@@ -9,15 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import (
-    DRIFT_S,
-    ClockFit,
-    fitted_clock,
-    noisy_stretch_finding,
-    stretched_finding,
-)
+from navfilter.check.clock_offsets import DRIFT_S, ClockFit, fitted_clock, noisy_stretch_finding, stretched_finding
 from navfilter.check.course import SURE, mounting_of, through_water
-from navfilter.check.course_fit import Complex
+from navfilter.check.course_fit import Complex, without_gaps
 from navfilter.check.felt_velocity import felt_clock
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, heading_of, integral, jackknife, unwrapped, vector, window_edges
@@ -209,10 +203,7 @@ class _Motion(NamedTuple):
         """Starts of pairs of windows across no gap."""
         begin, end = max(self.time_s[0], self.imu.time_s[0]), min(self.time_s[-1], self.imu.time_s[-1])
         edges = window_edges(begin, end - 2.0 * length_s, step_s)
-        wide = np.concatenate([[0], np.cumsum(np.diff(self.time_s) > 3.0 * length_s)])
-        first = np.maximum(np.searchsorted(self.time_s, edges, side="right") - 1, 0)
-        last = np.minimum(np.searchsorted(self.time_s, edges + 2.0 * length_s), self.time_s.size - 1)
-        return edges[wide[first] == wide[last]]
+        return without_gaps(edges, self.time_s, window_s=2.0 * length_s, gap_s=3.0 * length_s)
 
     def moved(self) -> Complex:
         """What grows by the acceleration, by the velocity and the gyro: at the times of the velocity."""

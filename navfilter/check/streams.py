@@ -11,8 +11,8 @@ import numpy as np
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.foundation.display import counted
-from navfilter.io.geodesy import wrapped
 from navfilter.models.mission import Array, Mission, Stream
+from navfilter.models.state import wrap
 
 #: No sensor of navigation gives readings in shorter steps [s] (chosen: a second is 1.2e-5 days, 1e-3 of it is of a fast
 #: inertial unit).
@@ -40,9 +40,8 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     step = np.diff(stream.time_s)
     moving = step[step > 0.0]
     if not moving.size:
-        yield Finding(
-            "error", "stamps", name, "all readings have the same time.", "Check the time column and its unit."
-        )
+        cure = "Check the time column and its unit."
+        yield Finding("error", "stamps", name, "all readings have the same time.", cure)
         return
     usual = float(np.median(moving))
     span = stream.time_s[-1] - stream.time_s[0]
@@ -67,15 +66,13 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
         text = f"{counted(int(gaps.sum()), 'gaps')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
         # fixes are not to be had under water
         grave: Severity = "warning" if step[worst] > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
-        yield Finding(
-            grave, "gap", name, text, "The filter carries on without; check that nothing was lost on the way."
-        )
+        cure = "The filter carries on without; check that nothing was lost on the way."
+        yield Finding(grave, "gap", name, text, cure)
     ratio = moving[(moving > 1.5 * usual) & (moving <= 5.0 * usual)] / usual
     if usual > 0.0 and ratio.size and float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9:
         lost = int(np.sum(np.round(ratio) - 1.0))
-        yield Finding(
-            "info", "gap", name, f"about {lost} readings are missing here and there, of {len(stream) + lost}."
-        )
+        text = f"about {lost} readings are missing here and there, of {len(stream) + lost}."
+        yield Finding("info", "gap", name, text)
     # Bursts: many steps far shorter and far longer than the mean step, as stamps of reception have.
     mean = span / (len(stream) - 1)
     bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))
@@ -114,30 +111,26 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
     missing = float(np.mean(np.isnan(stream.value).any(axis=1)))
     whole: Any = np.isnan(stream.value).all(axis=0)
     if whole.all():
-        yield Finding(
-            "error", "empty", name, "no reading has a value.", "Check the columns, the sentinels and valid_range."
-        )
+        cure = "Check the columns, the sentinels and valid_range."
+        yield Finding("error", "empty", name, "no reading has a value.", cure)
         return
     if missing and not whole.any():
         yield Finding("info", "empty", name, f"{100 * missing:.1f} % of the readings are invalid or incomplete.")
     measured = [k for k in range(stream.value.shape[1]) if not whole[k] and np.nanstd(stream.value[:, k]) > 0.0]
     if not measured and not stream.value.any():
-        yield Finding(
-            "info", "empty", name, "every value is 0: a stand-in for what was not measured, or a sensor that is dead."
-        )
+        text = "every value is 0: a stand-in for what was not measured, or a sensor that is dead."
+        yield Finding("info", "empty", name, text)
         return
     if not measured:
-        yield Finding(
-            "warning", "stuck", name, "no value ever changes.", "A sensor that is stuck, or the wrong columns."
-        )
+        cure = "A sensor that is stuck, or the wrong columns."
+        yield Finding("warning", "stuck", name, "no value ever changes.", cure)
         return
     values = stream.value[:, measured]
     held = float(np.mean((np.diff(values, axis=0) == 0.0).all(axis=1)))
     if held > 0.5 and not _is_coarse(values):
         text = f"{100 * held:.0f} % of the readings repeat the one before: a slower sensor, held?"
-        yield Finding(
-            "warning", "held", name, text, "If so, set only_changes = true, or the filter takes old news for new."
-        )
+        cure = "If so, set only_changes = true, or the filter takes old news for new."
+        yield Finding("warning", "held", name, text, cure)
     yield from _sentinel(name, stream, measured)
     for k in measured:
         yield from _quantisation(name, stream.columns[k], stream.value[:, k])
@@ -181,7 +174,7 @@ def _is_mark(known: Array, mark: float, column: str) -> bool:
         return False
 
     def size(step: Array) -> Array:
-        return np.abs(wrapped(step) if column.endswith("_rad") else step)
+        return np.abs(wrap(step) if column.endswith("_rad") else step)
 
     visits = int(np.count_nonzero(np.diff(marked.astype(np.int8)) > 0)) + int(marked[0])
     if visits < _SENTINELS:  # it stays there: so do sensors at rest, unless it is beyond all that they read
@@ -206,6 +199,5 @@ def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:
     noise = float(np.std(np.diff(known))) / np.sqrt(2.0)
     if quantum > 0.8 * noise:
         text = f"{column} is quantised in steps of {quantum:.3g}, {levels.size} levels in all."
-        yield Finding(
-            "info", "quantised", name, text, f"Its error is at least {quantum / np.sqrt(12.0):.2g} (step / sqrt 12)."
-        )
+        cure = f"Its error is at least {quantum / np.sqrt(12.0):.2g} (step / sqrt 12)."
+        yield Finding("info", "quantised", name, text, cure)

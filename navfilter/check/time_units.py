@@ -49,19 +49,13 @@ def clock_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
                 text = f"an inertial unit with a sample every {step_s:.4g} s."
             elif _about(1.0 / slower, count):
                 text = f"{1.0 / step_s:.4g} readings in a second, where the vehicle has {rates[name]:.4g}."
-                yield Finding(
-                    "error", "clock-unit", name, text, f'Are these seconds? Then unit = "s" in {where}, not "{unit}".'
-                )
+                cure = f'Are these seconds? Then unit = "s" in {where}, not "{unit}".'
+                yield Finding("error", "clock-unit", name, text, cure)
                 break
             else:
                 continue
-            yield Finding(
-                "error",
-                "clock-unit",
-                name,
-                text,
-                f'Are these {unit}, read as seconds? Then unit = "{unit}" in {where}.',
-            )
+            cure = f'Are these {unit}, read as seconds? Then unit = "{unit}" in {where}.'
+            yield Finding("error", "clock-unit", name, text, cure)
             break
 
 

@@ -47,9 +47,8 @@ def depth_sign_findings(name: str, stream: Stream) -> Iterator[Finding]:
     highest, lowest = float(np.nanmax(depth, initial=-math.inf)), float(np.nanmin(depth, initial=math.inf))
     if lowest < -_SURFACE_M and -lowest > 3.0 * max(highest, 0.0):
         text = f"the depth goes from {lowest:.3g} to {highest:.3g} m; it counts positive down."
-        yield Finding(
-            "error", "sign", name, text, f"Are these heights? Then set scale = -1 in depth of [streams.{name}]."
-        )
+        cure = f"Are these heights? Then set scale = -1 in depth of [streams.{name}]."
+        yield Finding("error", "sign", name, text, cure)
 
 
 def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
@@ -157,18 +156,12 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
     best, sd = factors(X, y)
     if best[0] < -0.5 and best[0] + SURE * sd[0] < 0.0:
         text = "the depth grows where the vehicle moves up with its bow up, and falls where it dives."
-        yield Finding(
-            "error",
-            "sign",
-            depth[0],
-            text,
-            f"It counts positive down: set scale = -1 in depth of [streams.{depth[0]}].",
-        )
+        cure = f"It counts positive down: set scale = -1 in depth of [streams.{depth[0]}]."
+        yield Finding("error", "sign", depth[0], text, cure)
     elif best[1] < -0.5 and best[1] + SURE * sd[1] < 0.0:
         cure = f'z is down: set axes = "x,-y,-z" in velocity of [streams.{name}] for forward, left, up.'
-        yield Finding(
-            "error", "sign", name, f"the velocity says up where {depth[0]} says down: its z axis points up.", cure
-        )
+        text = f"the velocity says up where {depth[0]} says down: its z axis points up."
+        yield Finding("error", "sign", name, text, cure)
     else:
         yield from _scale_findings(depth[0], name, X.sum(axis=1), y)
 

@@ -63,40 +63,28 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
-    parser.add_argument("mission", nargs="+", metavar="MISSION", help="one or several missions of the same vehicle")
-    parser.add_argument(
-        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
+    add = parser.add_argument
+    add("mission", nargs="+", metavar="MISSION", help="one or several missions of the same vehicle")
+    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
+    about = (
+        "constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
+        "deviation, iron, offset, several with commas, or all"
     )
-    parser.add_argument("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
-    parser.add_argument(
-        "--open",
-        metavar="KINDS",
-        help="constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
-        "deviation, iron, offset, several with commas, or all",
+    add("--open", metavar="KINDS", help=about)
+    about = (
+        "constants that are others in each mission (kinds or names, with commas), such as clocks that are set by "
+        "hand: estimated in each run, and left as described"
     )
-    parser.add_argument(
-        "--each",
-        metavar="KINDS",
-        default="",
-        help="constants that are others in each mission (kinds or names, with commas), such as clocks that are set by "
-        "hand: estimated in each run, and left as described",
-    )
-    parser.add_argument(
-        "--truth",
-        nargs="?",
-        type=positive,
-        const=0.1,
-        metavar="SD_M",
-        help="take the mission's truth as fixes with this sd in metres (default: %(const)s)",
-    )
-    parser.add_argument(
-        "--imu", metavar="NAME", help="of several inertial units: the one whose readings carry the state meanwhile"
-    )
-    parser.add_argument("--json", metavar="PATH", help="write the table as JSON too")
+    add("--each", metavar="KINDS", default="", help=about)
+    about = "take the mission's truth as fixes with this sd in metres (default: %(const)s)"
+    add("--truth", nargs="?", type=positive, const=0.1, metavar="SD_M", help=about)
+    add("--imu", metavar="NAME", help="of several inertial units: the one whose readings carry the state meanwhile")
+    add("--json", metavar="PATH", help="write the table as JSON too")
     add_force_argument(parser)
     add_limit_argument(parser)
     add_reading_arguments(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: argparse.Namespace) -> int:

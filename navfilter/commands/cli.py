@@ -171,17 +171,14 @@ def _add_simulate(commands: Any) -> None:
         "  navfilter simulate --list\n"
         "  navfilter simulate lawnmower --seed 3 --duration 900 --out dive\n",
     )
-    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="see --list")
-    parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
-    parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
+    add = parser.add_argument
+    add("scenario", nargs="?", metavar="SCENARIO", help="see --list")
+    add("--list", action="store_true", help="list the scenarios and stop")
+    add("--out", metavar="PATH", help="folder, or file that ends in .npz")
     add_force_argument(parser)
-    parser.add_argument(
-        "--seed", type=whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)"
-    )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--seed", type=whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
+    add("--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)")
+    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _simulate(options: argparse.Namespace) -> int:

@@ -15,6 +15,7 @@ from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
     compile_first,
+    figures_bar,
     output_folder,
     positive,
     read,
@@ -77,38 +78,22 @@ BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
-    parser.add_argument("mission", metavar="MISSION")
-    parser.add_argument(
-        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
-    )
-    parser.add_argument(
-        "--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})"
-    )
-    parser.add_argument(
-        "--sensors",
-        type=_names,
-        metavar="A,B,..",
-        help="sensors whose model is exchanged (default: all with enough readings)",
-    )
-    parser.add_argument(
-        "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
-    )
-    parser.add_argument(
-        "--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'"
-    )
-    parser.add_argument("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
-    parser.add_argument("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
-    parser.add_argument(
-        "--output-rate",
-        type=positive,
-        default=5.0,
-        metavar="HZ",
-        help="rows of a track per second (default: %(default)s)",
-    )
-    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
+    add = parser.add_argument
+    add("mission", metavar="MISSION")
+    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add("--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})")
+    about = "sensors whose model is exchanged (default: all with enough readings)"
+    add("--sensors", type=_names, metavar="A,B,..", help=about)
+    add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
+    add("--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'")
+    add("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
+    add("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
+    about = "rows of a track per second (default: %(default)s)"
+    add("--output-rate", type=positive, default=5.0, metavar="HZ", help=about)
+    add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
     add_force_argument(parser)
     add_reading_arguments(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -206,19 +191,10 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     if fitted_kinds(plan.models):
         say(f"fitting models to {mission.name} ({mission.duration_s / 60:.1f} min) ...")
     vehicles = rivals(tuple(plan.models), vehicle, mission, sensors=plan.sensors, truth=plan.truth, start=start)
-    tracks = {}
+    tracks, how = {}, {"start": start, "output_rate_hz": plan.output_rate_hz, "progress": bars}
     for number, (name, other) in enumerate(vehicles.items(), 1):
         say(f"replaying with {name} ({number} of {len(vehicles)}) ...")
-        tracks[name] = replay_rival(
-            name,
-            other,
-            mission,
-            plan.sensors,
-            start=start,
-            smooth=name in plan.smooth,
-            output_rate_hz=plan.output_rate_hz,
-            progress=bars,
-        )
+        tracks[name] = replay_rival(name, other, mission, plan.sensors, smooth=name in plan.smooth, **how)
     return tracks
 
 
@@ -274,8 +250,6 @@ def write_results(
     comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool
 ) -> None:
     """Write report.html, comparison.csv and summary.json."""
-    from tqdm import tqdm
-
     from navfilter.evaluation.comparison import compare
     from navfilter.io.write import write_json
     from navfilter.report.comparison_page import adopted_models, write_comparison
@@ -291,6 +265,5 @@ def write_results(
         "adopted": adopted_models(tracks),
     }
     write_json(summary, folder / "summary.json")
-    bars = not quiet and sys.stderr.isatty()
-    with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
+    with figures_bar(quiet) as bar:
         write_comparison(comparison, tracks, mission, folder / "report.html", bar.update)

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from navfilter.foundation.quoting import printable
 
@@ -27,6 +27,7 @@ __all__ = [
     "compile_first",
     "complain",
     "count",
+    "figures_bar",
     "limits_of",
     "new_files",
     "output_folder",
@@ -80,24 +81,18 @@ def show(text: str) -> None:
 
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what limits the trust in the files of a mission (see `read`)."""
-    parser.add_argument(
-        "--confine",
-        action="store_true",
-        help="refuse a mission that leads out of its folder: for one of people you do not know",
-    )
+    about = "refuse a mission that leads out of its folder: for one of people you do not know"
+    parser.add_argument("--confine", action="store_true", help=about)
     add_unpacking_argument(parser)
 
 
 def add_limit_argument(parser: argparse.ArgumentParser) -> None:
     """Add the sds that may be left of constants (see `limits_of`)."""
-    parser.add_argument(
-        "--limit",
-        action="append",
-        default=[],
-        metavar="NAME=SD",
-        help="a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
-        "clock=20ms; may be repeated",
+    about = (
+        "a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
+        "clock=20ms; may be repeated"
     )
+    parser.add_argument("--limit", action="append", default=[], metavar="NAME=SD", help=about)
 
 
 def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
@@ -109,13 +104,8 @@ def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
 
 def add_unpacking_argument(parser: argparse.ArgumentParser) -> None:
     """Add the limit of what compressed files may unpack to."""
-    parser.add_argument(
-        "--max-unpacked",
-        type=positive,
-        default=4.0,
-        metavar="GIB",
-        help="what the compressed files of a mission may unpack to, together (default: %(default)g)",
-    )
+    about = "what the compressed files of a mission may unpack to, together (default: %(default)g)"
+    parser.add_argument("--max-unpacked", type=positive, default=4.0, metavar="GIB", help=about)
 
 
 def unpacked_bytes(options: argparse.Namespace) -> int:
@@ -136,11 +126,8 @@ _OURS = ".navfilter"
 
 def add_force_argument(parser: argparse.ArgumentParser) -> None:
     """Add the consent to write where somebody's files are."""
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="write to --out also when navfilter did not make it; files of the same name are replaced",
-    )
+    about = "write to --out also when navfilter did not make it; files of the same name are replaced"
+    parser.add_argument("--force", action="store_true", help=about)
 
 
 def output_folder(path: str | Path, force: bool, plan: str = _OURS) -> Path:
@@ -196,6 +183,14 @@ def complain(text: str) -> None:
             if not select.select([], [sys.stderr.fileno()], [], 1.0)[1]:
                 return
         print(printable(text), file=sys.stderr, flush=True)
+
+
+def figures_bar(quiet: bool) -> Any:
+    """A bar that counts the figures of a page while they are drawn, on a terminal."""
+    from tqdm import tqdm
+
+    bars = not quiet and sys.stderr.isatty()
+    return tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]")
 
 
 def announce_compilation(say: Callable[[str], None]) -> bool:

@@ -35,14 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 default=[],
                 help=f"track{form.suffix}, {form.about}" + (f" ({'; '.join(needs)})" if needs else ""),
             )
-    group.add_argument(
-        "--format",
-        dest="own_formats",
-        action="append",
-        default=[],
-        metavar="TOML",
-        help="a table of your own: its file name, separators and columns, see 'Files for other programs' in the manual",
-    )
+    about = "a table of your own: its file name, separators and columns, see 'Files for other programs' in the manual"
+    group.add_argument("--format", dest="own_formats", action="append", default=[], metavar="TOML", help=about)
 
 
 def write_own_formats(options: argparse.Namespace, track: Track, folder: Path) -> list[Path]:

@@ -55,78 +55,50 @@ LONG = 100_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("file", metavar="FILE")
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        help="folder to write to; with --imu or --json it may be left out, and nothing is written",
-    )
+    about = "folder to write to; with --imu or --json it may be left out, and nothing is written"
+    parser.add_argument("--out", metavar="DIR", help=about)
     add_force_argument(parser)
     add_unpacking_argument(parser)
     noise_sheet.add_arguments(parser)
     data = parser.add_argument_group("the series")
-    data.add_argument(
-        "--column", metavar="C", help='name of the column, or its position from 0; of an array "counts[0]"'
-    )
+    about = 'name of the column, or its position from 0; of an array "counts[0]"'
+    data.add_argument("--column", metavar="C", help=about)
     data.add_argument("--rate-hz", type=positive, metavar="R", help="samples per second; not needed with a time column")
-    data.add_argument(
-        "--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing"
-    )
-    data.add_argument(
-        "--time-unit", type=_unit, default="s", metavar="U", help="unit of that column (default: %(default)s)"
-    )
-    data.add_argument(
-        "--unit",
-        type=_unit,
-        default="",
-        metavar="U",
-        help="unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI",
-    )
-    data.add_argument(
-        "--table", default="", metavar="NAME", help='array of an .npz or .mat file, with planes: "counts", "data[0]"'
-    )
-    data.add_argument(
-        "--topic", default="", metavar="NAME", help="of a log (a ROS bag, NMEA, ...): which of its topics"
-    )
+    about = "column with seconds: gives the rate, and gaps where samples are missing"
+    data.add_argument("--time-column", metavar="T", help=about)
+    about = "unit of that column (default: %(default)s)"
+    data.add_argument("--time-unit", type=_unit, default="s", metavar="U", help=about)
+    about = "unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI"
+    data.add_argument("--unit", type=_unit, default="", metavar="U", help=about)
+    about = 'array of an .npz or .mat file, with planes: "counts", "data[0]"'
+    data.add_argument("--table", default="", metavar="NAME", help=about)
+    about = "of a log (a ROS bag, NMEA, ...): which of its topics"
+    data.add_argument("--topic", default="", metavar="NAME", help=about)
     data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")
     data.add_argument("--skip-lines", type=whole, default=0, metavar="N", help="lines before the header of a text file")
     data.add_argument("--skip-rows", type=whole, default=0, metavar="N", help="rows of data to skip after it")
     part = parser.add_argument_group("which samples")
     part.add_argument("--from-s", type=float, metavar="S", help="first time to use")
     part.add_argument("--to-s", type=float, metavar="S", help="last time to use")
-    part.add_argument(
-        "--decimate", type=count, default=1, metavar="M", help="keep every M-th sample, without averaging"
-    )
-    part.add_argument(
-        "--reject",
-        type=float,
-        default=50.0,
-        metavar="K",
-        help="samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)",
-    )
-    part.add_argument(
-        "--max-samples", type=count, metavar="N", help="fit the middle N of a longer record (default: 50000)"
-    )
+    about = "keep every M-th sample, without averaging"
+    part.add_argument("--decimate", type=count, default=1, metavar="M", help=about)
+    about = "samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)"
+    part.add_argument("--reject", type=float, default=50.0, metavar="K", help=about)
+    about = "fit the middle N of a longer record (default: 50000)"
+    part.add_argument("--max-samples", type=count, metavar="N", help=about)
     model = parser.add_argument_group("the model")
-    model.add_argument(
-        "--max-p", type=whole, default=10, metavar="P", help="highest autoregressive order (default: %(default)s)"
-    )
-    model.add_argument(
-        "--max-q", type=whole, default=10, metavar="Q", help="highest moving-average order (default: %(default)s)"
-    )
+    about = "highest autoregressive order (default: %(default)s)"
+    model.add_argument("--max-p", type=whole, default=10, metavar="P", help=about)
+    about = "highest moving-average order (default: %(default)s)"
+    model.add_argument("--max-q", type=whole, default=10, metavar="Q", help=about)
     model.add_argument("--order", type=_order, metavar="P,Q", help="fit this order instead of choosing one")
     model.add_argument("--difference", type=whole, default=0, metavar="D", help="times to difference first (ARIMA)")
-    model.add_argument(
-        "--seasonal-lag",
-        type=whole,
-        default=0,
-        metavar="S",
-        help="model x[t] - x[t-S]: removes what repeats every S samples",
-    )
+    about = "model x[t] - x[t-S]: removes what repeats every S samples"
+    model.add_argument("--seasonal-lag", type=whole, default=0, metavar="S", help=about)
     model.add_argument("--detrend", action="store_true", help="estimate a straight line along with the coefficients")
     model.add_argument("--online", action="store_true", help="coefficients over time from the online estimator instead")
-    model.add_argument(
-        "--window", type=count, default=4000, metavar="W", help="its window in samples (default: %(default)s)"
-    )
+    about = "its window in samples (default: %(default)s)"
+    model.add_argument("--window", type=count, default=4000, metavar="W", help=about)
     parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -170,23 +142,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _read(options: argparse.Namespace) -> Any:
     from navfilter.io.series import read_series
-    from navfilter.io.tables import TableOptions
     from navfilter.io.units import unit
 
-    layout = TableOptions(
-        table=options.table,
-        transpose=options.transpose,
-        skip_lines=options.skip_lines,
-        skip_rows=options.skip_rows,
-        topic=options.topic,
-    )
     series = read_series(
         options.file,
         options.column,
         rate_hz=options.rate_hz,
         time_column=options.time_column,
         time_unit=options.time_unit,
-        options=layout,
+        options=noise_sheet.layout(options),
         unpacked_bytes=unpacked_bytes(options),
     )
     if series.source != options.file and unit(options.unit).factor != 1.0:

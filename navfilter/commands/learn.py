@@ -19,7 +19,7 @@ from navfilter.commands.console import (
 )
 
 if TYPE_CHECKING:
-    from navfilter.calibration.over_dives import OverDives
+    pass
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -61,23 +61,16 @@ exit codes: 0 the dives tell something; 1 they tell nothing, the errors stay as 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("mission", nargs="+", metavar="DIVE", help="missions of the same vehicle, each once")
-    parser.add_argument(
-        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or one that navfilter learn has written"
-    )
+    about = "the vehicle.toml, or one that navfilter learn has written"
+    parser.add_argument("--vehicle", required=True, metavar="TOML", help=about)
     parser.add_argument("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
-    parser.add_argument(
-        "--sensor",
-        action="append",
-        metavar="NAME",
-        help="a sensor to learn of, may be repeated; attitude, velocity, gyro and accel are those of the drive "
-        "(default: all headings and velocities)",
+    about = (
+        "a sensor to learn of, may be repeated; attitude, velocity, gyro and accel are those of the drive "
+        "(default: all headings and velocities)"
     )
-    parser.add_argument(
-        "--gap",
-        type=_gap,
-        metavar="S",
-        help="withhold fixes for so long at a time; inf: all but the outer ones",
-    )
+    parser.add_argument("--sensor", action="append", metavar="NAME", help=about)
+    about = "withhold fixes for so long at a time; inf: all but the outer ones"
+    parser.add_argument("--gap", type=_gap, metavar="S", help=about)
     parser.add_argument("--json", metavar="PATH", help="write what was learnt as JSON too")
     parser.add_argument("--no-report", action="store_false", dest="report", help="no page with pictures")
     add_force_argument(parser)
@@ -114,15 +107,11 @@ def run(options: argparse.Namespace) -> int:
         say(line)
     copied = write_over_dives(result.vehicle, to_table(result), out, options.vehicle)
     if options.report:
-        _draw(result, page)
+        from navfilter.report.over_dives_page import write_over_dives_page
+
+        write_over_dives_page(result, page)
     if options.json:
         Path(options.json).write_text(json.dumps(to_dict(result), indent=2) + "\n", encoding="utf-8")
     how = "" if copied else " (laid out anew, in SI units: your file could not be edited)"
     say(f"{out} written{how}" + (f", and {page} with pictures." if options.report else "."))
     return OK if result.tells else AS_IT_WAS
-
-
-def _draw(result: OverDives, path: Path) -> None:
-    from navfilter.report.over_dives_page import write_over_dives_page
-
-    write_over_dives_page(result, path)

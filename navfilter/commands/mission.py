@@ -29,16 +29,11 @@ KINDS = ("bluerov2", "survey", "glider", "yacht")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
-    parser.add_argument(
-        "log", metavar="LOG", help="the log; a pattern in quotes, with *, for several files that follow one another"
-    )
+    about = "the log; a pattern in quotes, with *, for several files that follow one another"
+    parser.add_argument("log", metavar="LOG", help=about)
     parser.add_argument("--init", action="store_true", help="write the two files")
-    parser.add_argument(
-        "--vehicle-like",
-        choices=KINDS,
-        default="",
-        help="whose sensors' errors to begin with (default: what is usual for the format)",
-    )
+    about = "whose sensors' errors to begin with (default: what is usual for the format)"
+    parser.add_argument("--vehicle-like", choices=KINDS, default="", help=about)
     parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
     parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
     add_unpacking_argument(parser)

@@ -39,21 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", dest="begin", type=_time, metavar="S", help="leave out what is earlier")
     parser.add_argument("--to", dest="end", type=_time, metavar="S", help="leave out what is later")
     parser.add_argument("--start", metavar="KEY=VALUE,..", help="start the run there, or 'align'; see below")
-    parser.add_argument(
-        "--withhold",
-        action="append",
-        default=[],
-        metavar="SENSOR:A-B",
-        help="keep these readings from the filter and score it against them; may be repeated; see below",
-    )
+    about = "keep these readings from the filter and score it against them; may be repeated; see below"
+    parser.add_argument("--withhold", action="append", default=[], metavar="SENSOR:A-B", help=about)
 
-    parser.add_argument(
-        "--during",
-        action="append",
-        default=[],
-        metavar="SENSOR:A-B:WHAT",
-        help="leave a sensor out for a time (off), or believe it less (noise=3); may be repeated; see below",
-    )
+    about = "leave a sensor out for a time (off), or believe it less (noise=3); may be repeated; see below"
+    parser.add_argument("--during", action="append", default=[], metavar="SENSOR:A-B:WHAT", help=about)
 
 
 def with_instructions(options: argparse.Namespace, mission: Mission) -> Mission:

@@ -50,53 +50,28 @@ _DEFAULT = "white,gm1,gm1-fitted,arma,oracle"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter montecarlo``."""
-    parser.add_argument("name", nargs="?", metavar="SCENARIO", help="see --list")
-    parser.add_argument("--scenario", metavar="NAME", help="the same")
-    parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
-    parser.add_argument(
-        "--runs",
-        "--seeds",
-        type=count,
-        default=20,
-        metavar="N",
-        help="missions, with seeds from --seed on (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed",
-        "--first-seed",
-        type=whole,
-        default=1,
-        metavar="S",
-        help="seed of the first mission (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--models", "--rivals", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)"
-    )
-    parser.add_argument("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
-    parser.add_argument("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="length of a mission in seconds (default: that of the scenario)"
-    )
-    parser.add_argument(
-        "--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)"
-    )
-    parser.add_argument(
-        "--imu-rate", type=positive, default=100.0, metavar="HZ", help="of the inertial unit (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)"
-    )
-    parser.add_argument(
-        "--figures", action=argparse.BooleanOptionalAction, default=True, help="draw them too (default: yes)"
-    )
+    add = parser.add_argument
+    add("name", nargs="?", metavar="SCENARIO", help="see --list")
+    add("--scenario", metavar="NAME", help="the same")
+    add("--list", action="store_true", help="list the scenarios and stop")
+    about = "missions, with seeds from --seed on (default: %(default)s)"
+    add("--runs", "--seeds", type=count, default=20, metavar="N", help=about)
+    about = "seed of the first mission (default: %(default)s)"
+    add("--seed", "--first-seed", type=whole, default=1, metavar="S", help=about)
+    add("--models", "--rivals", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)")
+    add("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
+    add("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
+    add("--duration", type=positive, metavar="S", help="length of a mission in seconds (default: that of the scenario)")
+    add("--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)")
+    add("--imu-rate", type=positive, default=100.0, metavar="HZ", help="of the inertial unit (default: %(default)s)")
+    add("--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)")
+    add("--figures", action=argparse.BooleanOptionalAction, default=True, help="draw them too (default: yes)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=count, metavar="K", help="processes (default: all cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
-    parser.add_argument(
-        "--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)"
-    )
+    add("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
     add_force_argument(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -13,6 +13,7 @@ from navfilter.commands.console import complain, show, unpacked_bytes
 
 if TYPE_CHECKING:
     from navfilter.io.inertial import ImuRecord
+    from navfilter.io.table import TableOptions
 
 __all__ = ["EPILOG", "add_arguments", "run"]
 
@@ -31,20 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     unit = parser.add_argument_group("an inertial unit")
     unit.add_argument("--imu", action="store_true", help="a noise sheet of all axes, from a record at rest")
     for name, example in (("gyro", "deg/s"), ("accel", "g")):
-        unit.add_argument(
-            f"--{name}",
-            type=_three,
-            default=(),
-            metavar="X,Y,Z",
-            help="its columns of a table (default: found by their names)",
-        )
-        unit.add_argument(
-            f"--{name}-unit",
-            type=_quantity,
-            default="",
-            metavar="U",
-            help=f'their unit; of raw counts with its factor, "0.05 {example}"',
-        )
+        about = "its columns of a table (default: found by their names)"
+        unit.add_argument(f"--{name}", type=_three, default=(), metavar="X,Y,Z", help=about)
+        about = f'their unit; of raw counts with its factor, "0.05 {example}"'
+        unit.add_argument(f"--{name}-unit", type=_quantity, default="", metavar="U", help=about)
 
 
 def _three(text: str) -> tuple[str, ...]:
@@ -98,22 +89,15 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
 
 def _record(options: argparse.Namespace) -> ImuRecord:
     from navfilter.io.inertial import ImuColumns, read_imu
-    from navfilter.io.tables import TableOptions
 
-    columns = ImuColumns(
-        options.gyro,
-        options.accel,
-        options.gyro_unit,
-        options.accel_unit,
-        options.time_column or "",
-        options.time_unit,
-        options.rate_hz,
-    )
-    layout = TableOptions(
-        table=options.table,
-        transpose=options.transpose,
-        skip_lines=options.skip_lines,
-        skip_rows=options.skip_rows,
-        topic=options.topic,
-    )
-    return read_imu(options.file, columns, layout, unpacked_bytes(options)).part(options.from_s, options.to_s)
+    units, time = (options.gyro_unit, options.accel_unit), (options.time_column or "", options.time_unit)
+    columns = ImuColumns(options.gyro, options.accel, *units, *time, options.rate_hz)
+    return read_imu(options.file, columns, layout(options), unpacked_bytes(options)).part(options.from_s, options.to_s)
+
+
+def layout(options: argparse.Namespace) -> TableOptions:
+    """How the file that was given is laid out."""
+    from navfilter.io.table import TableOptions
+
+    keys = ("table", "transpose", "skip_lines", "skip_rows", "topic")
+    return TableOptions(**{key: getattr(options, key) for key in keys})

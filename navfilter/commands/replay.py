@@ -19,6 +19,7 @@ from navfilter.commands.console import (
     add_reading_arguments,
     compile_first,
     complain,
+    figures_bar,
     limits_of,
     output_folder,
     positive,
@@ -103,17 +104,12 @@ examples:
 
 def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter demo``."""
-    parser.add_argument(
-        "--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--seed", type=whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)"
-    )
+    add = parser.add_argument
+    add("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
+    add("--seed", type=whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
+    add("--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)")
     add_force_argument(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 
@@ -163,80 +159,45 @@ def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path,
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter replay``."""
-    parser.add_argument("mission", metavar="MISSION", nargs="+")
-    parser.add_argument(
-        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
-    )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to")
+    add = parser.add_argument
+    add("mission", metavar="MISSION", nargs="+")
+    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add("--out", required=True, metavar="DIR", help="folder to write to")
     add_force_argument(parser)
     add_reading_arguments(parser)
-    parser.add_argument(
-        "--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
+    about = "smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
+    add("--smooth", action="store_true", help=about)
+    about = (
+        "smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
+        "hardly known at the start"
     )
-    parser.add_argument(
-        "--passes",
-        type=whole,
-        default=1,
-        metavar="N",
-        help="smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
-        "hardly known at the start",
+    add("--passes", type=whole, default=1, metavar="N", help=about)
+    about = (
+        "identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
+        "times (5 is plenty)"
     )
-    parser.add_argument(
-        "--iterate",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
-        "times (5 is plenty)",
-    )
-    parser.add_argument(
-        "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
-    )
+    add("--iterate", type=whole, default=0, metavar="N", help=about)
+    add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
     add_limit_argument(parser)
-    parser.add_argument(
-        "--control",
-        metavar="FILE",
-        help="compare the track with surveyed places, which the filter does not get: a table with the columns name, "
-        "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)",
+    about = (
+        "compare the track with surveyed places, which the filter does not get: a table with the columns name, "
+        "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)"
     )
-    parser.add_argument(
-        "--beside",
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="show the track of another run in the report, too: the folder of its track.csv; may be repeated",
-    )
-    parser.add_argument(
-        "--tiles",
-        metavar="PATH",
-        help="a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)",
-    )
-    parser.add_argument(
-        "--backward",
-        action="store_true",
-        help="run the mission from its end to its beginning too, independently, and hold both runs against each other",
-    )
+    add("--control", metavar="FILE", help=about)
+    about = "show the track of another run in the report, too: the folder of its track.csv; may be repeated"
+    add("--beside", action="append", default=[], metavar="DIR", help=about)
+    about = "a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)"
+    add("--tiles", metavar="PATH", help=about)
+    about = "run the mission from its end to its beginning too, independently, and hold both runs against each other"
+    add("--backward", action="store_true", help=about)
     mission_part.add_arguments(parser)
-    parser.add_argument(
-        "--output-rate",
-        type=row_rate,
-        default=5.0,
-        metavar="HZ",
-        help="rows of the track per second; all: one at every sample of the drive (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole,
-        metavar="N",
-        help="processes for several MISSIONs (default: as many as there are processors)",
-    )
-    parser.add_argument(
-        "--no-report",
-        action="store_false",
-        dest="report",
-        help="no report.html: drawing its figures takes longer than the filter and smoother do",
-    )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    about = "rows of the track per second; all: one at every sample of the drive (default: %(default)s)"
+    add("--output-rate", type=row_rate, default=5.0, metavar="HZ", help=about)
+    about = "processes for several MISSIONs (default: as many as there are processors)"
+    add("--workers", type=whole, metavar="N", help=about)
+    about = "no report.html: drawing its figures takes longer than the filter and smoother do"
+    add("--no-report", action="store_false", dest="report", help=about)
+    add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 
@@ -338,15 +299,18 @@ def _write(
     assessment = assess(tracks, mission, withheld, limits, control, back)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
-    written += formats.write_own_formats(options, list(tracks.values())[-1], folder)
+    result = list(tracks.values())[-1]
+    written += formats.write_own_formats(options, result, folder)
     report = folder / "report.html"
     if drawn:
         from navfilter.io.tracks.reading import read_track
+        from navfilter.report.report import write_report
 
-        others = [read_track(path, result_of(tracks).vehicle) for path in getattr(options, "beside", ())]
+        others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]
         beside = {_unlike(other.label, tracks): other for other in others}
-        bars = not options.quiet and sys.stderr.isatty()
-        _write_report(tracks, mission, report, assessment, bars, beside, getattr(options, "tiles", None))
+        tiles = getattr(options, "tiles", None)
+        with figures_bar(options.quiet) as bar:
+            write_report(tracks, mission, report, bar.update, assessment, beside, tiles)
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
@@ -361,31 +325,9 @@ def _write(
     return NOT_TRUSTED if verdict.wrong else NOT_JUDGED
 
 
-def result_of(tracks: dict[str, Track]) -> Track:
-    """The last one."""
-    return list(tracks.values())[-1]
-
-
 def _unlike(label: str, tracks: dict[str, Track]) -> str:
     """A label that no run of this replay has."""
     return f"{label} (beside)" if label in tracks or label == "truth" else label
-
-
-def _write_report(
-    tracks: dict[str, Track],
-    mission: Mission,
-    path: Path,
-    assessment: Assessment,
-    bars: bool,
-    beside: dict[str, Track],
-    tiles: str | None,
-) -> None:
-    from tqdm import tqdm
-
-    from navfilter.report.report import write_report
-
-    with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
-        write_report(tracks, mission, path, bar.update, assessment, beside, tiles)
 
 
 def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:

@@ -27,26 +27,15 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument(
-        "--init",
-        nargs="?",
-        const="vehicle.toml",
-        metavar="PATH",
-        help="file to write, or the folder to write vehicle.toml into (default: here)",
-    )
-    what.add_argument(
-        "--check", metavar="TOML", help="the vehicle.toml to describe and to check, or the folder that holds it"
-    )
-    parser.add_argument(
-        "--drive",
-        choices=("imu", "imus", "dead-reckoning"),
-        default="imu",
-        help="with --init: what carries the state (default: %(default)s)",
-    )
+    about = "file to write, or the folder to write vehicle.toml into (default: here)"
+    what.add_argument("--init", nargs="?", const="vehicle.toml", metavar="PATH", help=about)
+    about = "the vehicle.toml to describe and to check, or the folder that holds it"
+    what.add_argument("--check", metavar="TOML", help=about)
+    about = "with --init: what carries the state (default: %(default)s)"
+    parser.add_argument("--drive", choices=("imu", "imus", "dead-reckoning"), default="imu", help=about)
     parser.add_argument("--force", action="store_true", help="with --init: replace a file that is there")
-    parser.add_argument(
-        "--quiet", action="store_true", help="print nothing but errors; of --check only the exit code counts"
-    )
+    about = "print nothing but errors; of --check only the exit code counts"
+    parser.add_argument("--quiet", action="store_true", help=about)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -85,9 +74,7 @@ def _check(options: argparse.Namespace) -> int:
         if of_kind:
             say(f"\n{heading}:")
         for finding in of_kind:
-            say(f"  {finding.stream + ': ' if finding.stream else ''}{finding.text}")
-            if finding.cure:
-                say(f"      -> {finding.cure}")
+            say("\n".join(finding.lines()))
     if not wrong:
         say("\nNothing looks wrong.")
     return FOUND if wrong else OK

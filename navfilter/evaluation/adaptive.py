@@ -252,11 +252,7 @@ RULES: dict[str, Callable[[Array], AnyRule]] = {
 
 
 def adaptive_monitor(
-    vehicle: Vehicle,
-    rule: Callable[[Array], AnyRule],
-    sensors: Collection[str] | None = None,
-    *,
-    gated: bool = True,
+    vehicle: Vehicle, rule: Callable[[Array], AnyRule], sensors: Collection[str] | None = None, *, gated: bool = True
 ) -> FaultMonitor:
     """The monitor of a run whose sensors weigh their readings by a rule.
 
@@ -333,10 +329,9 @@ def as_white(model: ErrorModel, period_s: float) -> ErrorModel:
     period_s : float
         Of its sensor [s].
     """
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    walks = [part for part in parts if isinstance(part, RandomWalk)]
-    blocks = [part.block(period_s) for part in parts if not isinstance(part, RandomWalk)]
-    variance = sum(block.r + float(block.C @ block.P0 @ block.C) for block in blocks)
+    walks = [part for part in model.terms if isinstance(part, RandomWalk)]
+    blocks = [part.block(period_s) for part in model.terms if not isinstance(part, RandomWalk)]
+    variance = sum(block.variance for block in blocks)
     if variance <= 0.0:
         return model
     white = White(sd=math.sqrt(variance))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from navfilter.evaluation.adaptive import RULES, adaptive_monitor, as_white
 from navfilter.learning.open_loop_series import ChannelSeries
-from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.learned_arma import LearnedArma, known_white, learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
@@ -175,12 +175,8 @@ def _models(
 
 def _split(model: ErrorModel) -> tuple[list[ErrorModel], list[ErrorModel]]:
     """Random walks, which are the bias of a sensor and stay as they are in every rival, and the rest."""
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    return [p for p in parts if isinstance(p, RandomWalk)], [p for p in parts if not isinstance(p, RandomWalk)]
-
-
-def _sum(parts: Sequence[ErrorModel]) -> ErrorModel:
-    return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
+    walks: list[ErrorModel] = [part for part in model.terms if isinstance(part, RandomWalk)]
+    return walks, [part for part in model.terms if not isinstance(part, RandomWalk)]
 
 
 def _learning(prior: ErrorModel) -> ErrorModel:
@@ -188,7 +184,7 @@ def _learning(prior: ErrorModel) -> ErrorModel:
     if learned_part(prior) is not None:
         return prior
     walks, rest = _split(prior)
-    return _sum([*walks, LearnedArma(prior=_sum(rest) if rest else None)])
+    return sum_of([*walks, LearnedArma(prior=sum_of(rest) if rest else None)])
 
 
 # --- fits -----------------------------------------------------------------------------------------------------------
@@ -202,7 +198,7 @@ def _fitted(kind: str, channel: ChannelSeries, prior: ErrorModel) -> ErrorModel:
     # White noise that stands beside a learnt part is the sensor's and to be fitted; what is known to be white beyond it
     # is not.
     white = max(channel.white - known_white(prior, channel.period_s), 0.0)
-    return _sum([*_split(prior)[0], _FITS[kind](channel, white)])
+    return sum_of([*_split(prior)[0], _FITS[kind](channel, white)])
 
 
 def _white(channel: ChannelSeries, white: float) -> ErrorModel:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.evaluation.consistency import figures_of, inside
+from navfilter.evaluation.consistency import figures_of
 from navfilter.filter.records import Residuals
-from navfilter.foundation.arguments import intervals, needs
+from navfilter.foundation.arguments import intervals, needs, within
 from navfilter.models.mission import Stream
 from navfilter.track.track import Track
 
@@ -102,7 +102,7 @@ def _scored_windows(tracks: Mapping[str, Track], begin_s: float | None, windows:
     first, last = (f(float(t.time_s[i]) for t in tracks.values()) for f, i in ((min, 0), (max, -1)))
     start = first if begin_s is None else float(begin_s)
     scored = tuple((max(a, start), b) for a, b in windows or ((first, last),) if b > max(a, start))
-    if not scored or not any(((t.time_s >= a) & (t.time_s <= b)).any() for t in tracks.values() for a, b in scored):
+    if not scored or not any(within(t.time_s, scored).any() for t in tracks.values()):
         raise ValueError(
             f"nothing is left to be scored after {start:g} s: the runs end at {last:g} s. Give an earlier begin_s."
         )
@@ -113,7 +113,7 @@ def _cut(track: Track, windows: Windows) -> Track:
     """The same track with only those residuals that are scored; `Track.summary` then counts and averages no others."""
     kept = {}
     for name, r in track.residuals.items():
-        rows = inside(r.time_s, windows)
+        rows = within(r.time_s, windows)
         kept[name] = Residuals(r.time_s[rows], r.value[rows], r.sd[rows], r.nis[rows], r.dof[rows], r.outcome[rows])
     return dataclasses.replace(track, residuals=kept)
 

@@ -9,42 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.arguments import within
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Stream
 from navfilter.models.sensors import Sensor, traits
 from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
-from navfilter.track.track import Track
+from navfilter.track.track import ERRORS, Track
 
-__all__ = [
-    "ERRORS",
-    "LAGS",
-    "chi_square_range",
-    "figures_of",
-    "independent",
-    "innovation_series",
-    "inside",
-    "shown_unit",
-]
+__all__ = ["LAGS", "chi_square_range", "figures_of", "independent", "innovation_series"]
 
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
 
 #: Innovations are tested for whiteness over so many lags, and only where there are so many of them.
 LAGS, LEAST = 20, 100
-#: Figures that `Track.summary` gives where there is a truth.
-ERRORS = (
-    "position_rms_m",
-    "position_max_m",
-    "position_end_m",
-    "position_end_pct",
-    "heading_rms_deg",
-    "velocity_rms_m_s",
-)
-
-
-def inside(time_s: Array, windows: Windows) -> NDArray[np.bool_]:
-    """Which times lie in one of the windows."""
-    return np.any([(time_s >= a) & (time_s <= b) for a, b in windows], axis=0)
 
 
 def figures_of(track: Track, truth: Stream | None, windows: Windows, common: Mapping[str, Array]) -> dict[str, Any]:
@@ -80,7 +58,7 @@ def _consistency(track: Track, truth: Stream | None, windows: Windows) -> dict[s
     """
     if truth is None or not len(truth):
         return {}
-    errors, rows, result = track.errors(truth), inside(track.time_s, windows), {}
+    errors, rows, result = track.errors(truth), within(track.time_s, windows), {}
     nees = track.nees(errors)
     sd = np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2))
     each = {
@@ -134,7 +112,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
     z = np.abs(r.value[valid] / r.sd[valid])
     z = z[np.isfinite(z)]
     freedom = float(np.nansum(r.dof[r.used]))
-    unit, factor = shown_unit(sensor)
+    unit, factor = traits.shown_unit(sensor.unit)
     together = r.used & np.isin(r.time_s, common)
     axes = {}
     for i, axis in enumerate(sensor.axis_names):
@@ -156,11 +134,6 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
         "compared": int(together.sum()),
         "axes": axes,
     }
-
-
-def shown_unit(sensor: Sensor) -> tuple[str, float]:
-    """Unit in which a comparison shows residuals of a sensor, and its factor from SI."""
-    return traits.shown_unit(sensor.unit)
 
 
 def innovation_series(residuals: Residuals, axis: int, rows: NDArray[np.bool_] | None = None) -> Array:

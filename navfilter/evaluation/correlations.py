@@ -215,9 +215,8 @@ def correlation_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
         along = f" {one.axis}" if one.axis else ""
         text = f"its residuals{along} follow the {one.motion} (correlation {one.r:+.2f}): {one.cause}."
         set_then = "" if one.whole else " Was it set on the way? Then its stamps want another offset from there on."
-        yield Finding(
-            "warning", "correlation", one.sensor, text, f"{one.key}; 'navfilter calibrate' then finds it.{set_then}"
-        )
+        cure = f"{one.key}; 'navfilter calibrate' then finds it.{set_then}"
+        yield Finding("warning", "correlation", one.sensor, text, cure)
 
 
 def _without(x: Array, y: Array) -> Array:

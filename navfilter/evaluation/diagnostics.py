@@ -136,9 +136,8 @@ def _state(run: Track, limits: Limits) -> Iterator[Finding]:
     """What no vehicle does, and what nobody knows."""
     speed = np.hypot(run.velocity_n[:, 0], run.velocity_n[:, 1])
     if not (np.isfinite(speed).all() and np.isfinite(run.latitude).all() and np.isfinite(run.covariance).all()):
-        yield Finding(
-            "error", "diverged", "", "the track holds values that are not finite: the filter has diverged.", _CHECK
-        )
+        text = "the track holds values that are not finite: the filter has diverged."
+        yield Finding("error", "diverged", "", text, _CHECK)
         return
     cure = "Is what drives in the right unit (deg/s for rad/s, g, mm/s)? Does anything bound the velocity?"
     worst = int(np.argmax(speed))
@@ -175,13 +174,8 @@ def _drive(run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
     missing = float(step[step > max(1.0, 10.0 * period_s, 3.0 * usual)].sum())
     if missing > limits.gaps * length:
         text = f"{missing:.0f} of {length:.0f} s have no samples: the state was carried across by what it was before."
-        yield Finding(
-            "warning",
-            "gap",
-            name,
-            text,
-            "Was the log cut, or are stamps lost? 'navfilter check MISSION' lists the gaps.",
-        )
+        cure = "Was the log cut, or are stamps lost? 'navfilter check MISSION' lists the gaps."
+        yield Finding("warning", "gap", name, text, cure)
     odd = run.counts.get("bad-sample", 0) + run.counts.get("backward", 0)
     if odd > limits.repaired * len(time_s):
         text = f"{odd} of {len(time_s)} samples are impossible or go back in time."
@@ -219,9 +213,8 @@ def _mended(run: Track, unlucky: int) -> Iterator[Finding]:
         yield Finding("info", "realigned", name, text, where)
     if count := run.counts.get("shifted", 0):
         text = f"{counted(count, 'times')} the bias of a gyro shifted by more than its error model allows: learnt anew."
-        yield Finding(
-            "info", "shifted", name, text, "If it goes on, give its RandomWalk a larger density in vehicle.toml."
-        )
+        cure = "If it goes on, give its RandomWalk a larger density in vehicle.toml."
+        yield Finding("info", "shifted", name, text, cure)
     if found:
         text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'times')})" for fault, n in found.items())
         again = found.get("contradicted", 0) >= CONTRADICTED
@@ -233,9 +226,8 @@ def _mended(run: Track, unlucky: int) -> Iterator[Finding]:
 def _given_up(run: Track) -> Iterator[Finding]:
     if count := run.counts.get("opened", 0):
         text = f"all sensors contradicted the state {count} times, so that it was given up and established anew."
-        yield Finding(
-            "error", "opened", "", text, "See in report.html, at the innovations, when, and which sensor was first."
-        )
+        cure = "See in report.html, at the innovations, when, and which sensor was first."
+        yield Finding("error", "opened", "", text, cure)
     if count := run.counts.get("arm-or-clock", 0):
         text = (
             f"{counted(count, 'readings')} of a velocity agreed with the others only as if its lever arm or its clock"
@@ -243,10 +235,6 @@ def _given_up(run: Track) -> Iterator[Finding]:
         )
         cure = "Measure them; or give them as states in vehicle.toml, lever_arm_sd_m = 1.0 and time_offset_sd_s = 0.5."
         yield Finding("warning", "arm-or-clock", "", text, cure)
-    if run.counts.get("given-up", 0):
-        text = "constants of vehicle.toml contradicted the error models that were learnt: these were given up."
-        cure = "Nothing was learnt from then on. Widen the sd of what is constant, or calibrate it."
-        yield Finding("warning", "given-up", "", text, cure)
 
 
 # --- sensors --------------------------------------------------------------------------------------------------------
@@ -294,11 +282,9 @@ def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Fi
     """Many readings that the gate rejected, or many on end."""
     share = r.count("rejected") / (r.count("used") + r.count("rejected"))
     longest, timeout_s = _longest_rejection(r), run.vehicle.sensors[name].gate_timeout_s
-    widened = (
-        f" Rejected for {longest:.0f} s on end, its gate was widened until it was let in."
-        if longest > timeout_s
-        else ""
-    )
+    widened = ""
+    if longest > timeout_s:
+        widened = f" Rejected for {longest:.0f} s on end, its gate was widened until it was let in."
     if r.count("rejected") >= limits.least and share > limits.rejected[0]:
         much = f"{100 * share:.0f} % of its readings were rejected{_typically(r, run.vehicle.sensors[name].axis_names)}"
         text = f"{much}: they contradict the others, or vehicle.toml.{widened}"
@@ -332,15 +318,11 @@ def _honesty(name: str, run: Track, r: Residuals, limits: Limits, explained: boo
     learn = ' error = {model = "learned-arma"}, or' if run.vehicle.sensors[name].open_loop else ""
     cure = f"In vehicle.toml, give {name}{learn} another sd."
     if nis > limits.nis[0]:
-        text = f"its mean NIS is {nis:.1f} where 1 is honest: "
-        text += (
-            "not with that which is left out."
-            if explained
-            else f"the filter believes it {math.sqrt(nis):.1f} times too well."
-        )
-        yield Finding(
-            _grade(nis, limits.nis), "nis", name, text, "Describe first what is left out." if explained else cure
-        )
+        believed = f"the filter believes it {math.sqrt(nis):.1f} times too well"
+        why = "not with that which is left out" if explained else believed
+        text = f"its mean NIS is {nis:.1f} where 1 is honest: {why}."
+        cure = "Describe first what is left out." if explained else cure
+        yield Finding(_grade(nis, limits.nis), "nis", name, text, cure)
     elif nis < limits.modest:
         times = 1.0 / math.sqrt(max(nis, 1e-12))
         text = (
@@ -362,13 +344,8 @@ def _clock(name: str, run: Track, mission: Mission, limits: Limits) -> Finding |
         cure = "Another time zone, epoch or unit? Set time.offset_s or time.unit of one of them in mission.toml."
         return Finding("error", "clock", name, f"the clocks do not overlap: its readings lie from {spans}.", cure)
     text = f"{100 * beside:.0f} % of its readings lie beside the run: {spans}."
-    return Finding(
-        "warning",
-        "span",
-        name,
-        text,
-        "If it was not switched on alone, its clock is off: see time.offset_s in mission.toml.",
-    )
+    cure = "If it was not switched on alone, its clock is off: see time.offset_s in mission.toml."
+    return Finding("warning", "span", name, text, cure)
 
 
 def _lost(name: str, r: Residuals, limits: Limits) -> Iterator[Finding]:

@@ -180,7 +180,7 @@ def evidence(track: Track) -> Evidence:
         Surfacings, outage and predicted sd are those of its forward run.
     """
     run = track.forward or track
-    predicted = _predicted(run)
+    predicted = run.horizontal_sd()
     worst = int(np.argmax(predicted))
     found = surfacings(track)
     return Evidence(
@@ -257,7 +257,7 @@ def _after_outages(run: Track, rows: list[tuple[float, str, int]]) -> Iterator[t
 
 def _longest_outage(track: Track, found: tuple[Surfacing, ...]) -> Outage | None:
     run = track.forward or track
-    rows, predicted = _heard(run), _predicted(run)
+    rows, predicted = _heard(run), run.horizontal_sd()
     begin_s, end_s = (rows[-1][0] if rows else float(run.time_s[0])), float(run.time_s[-1])
     outages = [Outage(s.time_s - s.without_s, s.time_s, s.error_m, s.sd_m) for s in found]
     if end_s - begin_s > _least_outage_s(rows):
@@ -265,18 +265,13 @@ def _longest_outage(track: Track, found: tuple[Surfacing, ...]) -> Outage | None
     return max(outages, key=lambda o: o.end_s - o.begin_s, default=None)
 
 
-def _predicted(track: Track) -> Array:
-    """Predicted rms of the horizontal position error [m], shape (n,)."""
-    return np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
-
-
 def _separation(forward: Track, smoothed: Track) -> Separation:
     origin = float(forward.latitude[0]), float(forward.longitude[0])
     if not np.array_equal(forward.time_s, smoothed.time_s):  # of lanes, whose rows stand at times of their own
         smoothed = smoothed.at(forward.time_s)
     apart = np.hypot(*(forward.local(*origin) - smoothed.local(*origin))[:, :2].T)
-    after = _predicted(smoothed)
-    variance = np.maximum(_predicted(forward) ** 2 - after**2, 0.0)
+    after = smoothed.horizontal_sd()
+    variance = np.maximum(forward.horizontal_sd() ** 2 - after**2, 0.0)
     worst = int(np.argmax(apart))
     return Separation(
         rms_m=float(np.sqrt(np.mean(apart**2))),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.interpretation import Component, number, stationary_parts
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.models.periodic_error import Cycle
@@ -118,7 +118,7 @@ def learnt(track: Track) -> tuple[LearnedText, ...]:
                 # what has not changed is the adoption of another axis
                 if part is not None and part.model is not None and (not steps or steps[-1][1] != part):
                     steps.append((float(time_s), part))
-                    beside = tuple(p for p in _parts(model) if p is not part)
+                    beside = tuple(p for p in model.terms if p is not part)
             if steps:
                 times, parts = zip(*steps, strict=True)
                 scale = Scale(*shown_unit(unit), rate_hz)
@@ -142,15 +142,11 @@ def _axes(track: Track, name: str) -> Iterator[tuple[str, ErrorModel, str, float
 def _before(model: ErrorModel) -> ErrorModel:
     """A model with the prior in place of what is learnt."""
     parts: list[ErrorModel] = []
-    for part in _parts(model):
+    for part in model.terms:
         if isinstance(part, LearnedArma):
             part = part.prior or LearnedArma(model=part.model)
-        parts += _parts(part)
-    return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
-
-
-def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
-    return model.parts if isinstance(model, Sum) else (model,)
+        parts += part.terms
+    return sum_of(parts)
 
 
 # --- words ----------------------------------------------------------------------------------------------------------
@@ -169,7 +165,7 @@ def error_words(model: ErrorModel, scale: Scale) -> str:
     >>> error_words(GaussMarkov(sd=0.01, tau_s=30.0) + White(sd=0.005), Scale("deg", 180 / math.pi, 8.0))
     'slow error 0.57 deg over 30 s, white 0.29 deg'
     """
-    return ", ".join(_part_words(part, scale) for part in _parts(model))
+    return ", ".join(_part_words(part, scale) for part in model.terms)
 
 
 def _part_words(part: ErrorModel, scale: Scale) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.check import data_findings
-from navfilter.check.finding import Finding
+from navfilter.check.finding import Finding, by_severity
 from navfilter.evaluation.diagnostics import LIMITS, Limits, doubts
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.io.mission_toml import STANDS_IN
@@ -123,7 +123,6 @@ def judge(
         The run against an independent one backward.
     """
     run = track.forward or track
-    rank = {"error": 0, "warning": 1, "info": 2}
     # first what the data say of each other: what the run shows comes of it
     found = [f for f in data_findings(replace(mission, truth=None), run.vehicle) if not _estimated(f, run)]
     found += [
@@ -132,11 +131,7 @@ def judge(
         *_separated(separated, limits),
         *_remarks(mission),
     ]
-    return Verdict(
-        tuple(sorted(found, key=lambda finding: rank[finding.severity])),
-        _praise(run, evidence),
-        tuple(_lacking(run, mission)),
-    )
+    return Verdict(by_severity(found), _praise(run, evidence), tuple(_lacking(run, mission)))
 
 
 #: Code of a finding -> words in the names of the states that hold the same.

@@ -19,7 +19,7 @@ Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted, beside what the monitor counts.
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),
-    *("realigned", "shifted", "adopted", "given-up", "arm-or-clock"),
+    *("realigned", "shifted", "adopted", "arm-or-clock"),
 )
 #: No sd, error or element of a transition is as large, in whatever unit of SI (a lost position: 1e7 m): beyond it
 #: rounding alone makes covariances that are none.

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.models.during import is_alias
 from navfilter.models.error_models import Block, block_diagonal
 from navfilter.models.parameters import Parameter, checked
 
@@ -153,14 +152,10 @@ class Layout:
         Number of error states.
     head : int
         Navigation states and the drive's: those that move with every sample of the drive.
-    constants : (ndarray, ndarray, ndarray)
-        Places of all constant states that are not known for certain, their means and variances at the start; once for
-        each instrument.
     """
 
     drive: Group
     groups: dict[str, Group]
-    constants: tuple[NDArray[np.intp], Array, Array]
 
     @property
     def size(self) -> int:
@@ -213,14 +208,7 @@ class Layout:
                 blocks = [m.in_force(period_s) for m in sensor.models]
                 groups[name] = _group(start, sensor, blocks, period_s, name)
             start += groups[name].size
-        own = [
-            (g.start + i, g.x0[i], g.P0[i, i])
-            for name, g in (("", group), *groups.items())
-            for i in range(g.errors, g.size)
-            if not is_alias(name) and not g.Q[i].any() and g.P0[i, i] > 0.0
-        ]
-        places, means, variances = np.ascontiguousarray(np.array(own, dtype=np.float64).reshape(-1, 3).T)
-        return cls(group, groups, (places.astype(np.intp), means, variances))
+        return cls(group, groups)
 
     def start_states(self) -> Array:
         """Means at the start of all states behind the nine of navigation."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from typing import Any
 
@@ -84,6 +84,14 @@ def intervals(pairs: Any, owner: str) -> tuple[tuple[float, float], ...]:
     except (TypeError, ValueError):
         pass
     raise ValueError(f"{owner} takes pairs of mission times (t0_s, t1_s) in seconds, found {short(pairs)}.")
+
+
+def within(time_s: NDArray[np.float64], windows: Iterable[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Which times lie in one of the closed intervals."""
+    found = np.zeros(len(time_s), dtype=bool)
+    for begin_s, end_s in windows:
+        found |= (time_s >= begin_s) & (time_s <= end_s)
+    return found
 
 
 def rows_of(rows: Any) -> Any:

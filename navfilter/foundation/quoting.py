@@ -6,10 +6,13 @@ Whatever a file calls its topics stays a name: it ends no string and no comment,
 from __future__ import annotations
 
 import json
+import math
 import re
 import unicodedata
+from collections.abc import Mapping
+from typing import Any, SupportsFloat
 
-__all__ = ["one_line", "printable", "toml_key", "toml_text"]
+__all__ = ["json_value", "one_line", "printable", "toml_key", "toml_literal", "toml_text"]
 
 
 def printable(text: str, but: str = "\n\t") -> str:
@@ -71,3 +74,34 @@ def toml_key(name: str) -> str:
     ('compass', '"a b"')
     """
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_text(name)
+
+
+def toml_literal(value: Any) -> str:
+    """A value as TOML has it, on one line.
+
+    Examples
+    --------
+    >>> toml_literal({"sd": 0.5, "frozen": True})
+    '{sd = 0.5, frozen = true}'
+    """
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return toml_text(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{toml_key(key)} = {toml_literal(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_literal, value)) + "]"
+    whole = isinstance(value, int) or not isinstance(value, SupportsFloat)
+    return str(value) if whole else repr(float(value))
+
+
+def json_value(value: Any) -> Any:
+    """A value as JSON has it: arrays and tuples as lists, None for every number that is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): json_value(part) for key, part in value.items()}
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [json_value(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -193,12 +193,9 @@ def order_figure(found: Identification) -> Figure:
             image.set_clim(0.0, max(4.0, float(shown.max())))
         ax.grid(False)
         best = np.unravel_index(int(np.argmin(values) if above else np.argmax(values)), values.shape)
-        ax.plot(
-            best[1], best[0], "s", markerfacecolor="none", markeredgecolor="white", markersize=9, markeredgewidth=3.0
-        )
-        ax.plot(
-            best[1], best[0], "s", markerfacecolor="none", markeredgecolor="black", markersize=9, markeredgewidth=1.2
-        )
+        hollow: dict[str, Any] = {"markerfacecolor": "none", "markersize": 9}
+        for width, hue in ((3.0, "white"), (1.2, "black")):
+            ax.plot(best[1], best[0], "s", markeredgecolor=hue, markeredgewidth=width, **hollow)
         for width, hue in ((3.0, "white"), (1.3, "black")):
             ax.plot(table.best[1], table.best[0], "x", color=hue, markersize=7, markeredgewidth=width)
         ax.set_xlabel("q")
@@ -261,17 +258,8 @@ def pole_figure(found: Identification) -> Figure:
                     ends = [root.real - 2.0 * sd, root.real + 2.0 * sd]
                     ax.plot(ends, [0.0, 0.0], color=hue, alpha=0.35, linewidth=5.0, solid_capstyle="butt")
             label = "poles" if mark == "x" else "zeros"
-            ax.plot(
-                roots.real,
-                roots.imag,
-                mark,
-                color=hue,
-                markerfacecolor="none",
-                markersize=7,
-                markeredgewidth=1.4,
-                label=label,
-                linestyle="",
-            )
+            hollow: dict[str, Any] = {"markerfacecolor": "none", "markersize": 7, "markeredgewidth": 1.4}
+            ax.plot(roots.real, roots.imag, mark, color=hue, label=label, linestyle="", **hollow)
         ax.set_aspect("equal")
         ax.set_xlabel("real part")
     axes[0].set_xlim(-1.15, 1.15)
@@ -303,20 +291,12 @@ def allan_figure(found: Identification, unit: str) -> Figure:
     ax.loglog(tau, deviation, color=SAMPLE, label="record")
     if np.isfinite(found.allan_model).any():
         ax.loglog(tau, found.allan_model, color=MODEL, linestyle=(0, (5, 1.5)), linewidth=1.5, label=_order_text(found))
-    if found.data.step / math.sqrt(12.0) > 0.5 * deviation[deviation > 0.0].min():
-        ax.axhline(
-            found.data.step / math.sqrt(12.0),
-            color=GREY,
-            linewidth=0.8,
-            linestyle=(0, (1, 1.5)),
-            label="quantisation of one sample",
-        )
-    low = float(
-        min(
-            deviation[deviation > 0.0].min(),
-            np.nanmin(found.allan_model) if np.isfinite(found.allan_model).any() else np.inf,
-        )
-    )
+    rounding, low = found.data.step / math.sqrt(12.0), float(deviation[deviation > 0.0].min())
+    if rounding > 0.5 * low:
+        label = "quantisation of one sample"
+        ax.axhline(rounding, color=GREY, linewidth=0.8, linestyle=(0, (1, 1.5)), label=label)
+    if np.isfinite(found.allan_model).any():
+        low = min(low, float(np.nanmin(found.allan_model)))
     ax.set_ylim(0.5 * low, 2.0 * float(max(deviation.max(), np.nanmax(np.r_[found.allan_model, 0.0]))))
     ax.set_xlabel("averaging time [s]")
     ax.set_ylabel(_labelled("Allan deviation", unit))

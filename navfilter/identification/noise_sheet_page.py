@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,9 +28,7 @@ _MARKS = ("o", "s", "^")
 _GYRO, _ACCEL = 3600.0 * 180.0 / math.pi, 1e6 / 9.80665
 
 
-def write_sheet(
-    sheet: NoiseSheet, record: ImuRecord, folder: Path, progress: Callable[[], Any] | None = None
-) -> list[Path]:
+def write_sheet(sheet: NoiseSheet, record: ImuRecord, folder: Path) -> list[Path]:
     """Write identify.json, drive.toml, the figures and identify.html.
 
     Parameters
@@ -41,8 +38,6 @@ def write_sheet(
         That it was made from.
     folder : Path
         Must exist; files of the same name are replaced.
-    progress : callable, optional
-        Called after each figure.
     """
     body = [f"<p><b>{escape(sheet.verdict)}</b></p>"]
     for axes in groups(sheet):
@@ -58,9 +53,7 @@ def write_sheet(
         (folder / name).write_text(text, encoding="utf-8")
     with style():
         subtitle = f"inertial unit, {sheet.rate_hz:.6g} Hz, {sheet.duration_s:.0f} s"
-        figures = write_page(
-            folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record), progress
-        )
+        figures = write_page(folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record))
     return [*(folder / name for name in texts), *figures]
 
 
@@ -137,7 +130,7 @@ def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
     panels = figure.subplots(len(both), 1, sharex=True, squeeze=False)[:, 0]
     length = max(round(record.rate_hz), 1)
     blocks = len(record.value) // length
-    time = (np.arange(blocks) + 0.5) * length / record.rate_hz
+    time: Array = (np.arange(blocks, dtype=np.float64) + 0.5) * length / record.rate_hz
     for ax, axes in zip(panels, both, strict=True):
         factor, unit = _scale(axes)
         for k, axis in enumerate(axes):
@@ -145,14 +138,8 @@ def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
             known = np.isfinite(x)
             mean = np.where(known, x, 0.0).sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
             shown = np.asarray(factor * (mean - np.nanmedian(mean)), dtype=np.float64)
-            line(
-                ax,
-                np.asarray(time, dtype=np.float64),
-                shown,
-                color=COLOURS[(1, 5, 2)[k]],
-                linewidth=0.7,
-                label=axis.name.replace("_", " "),
-            )
+            label = axis.name.replace("_", " ")
+            line(ax, time, shown, color=COLOURS[(1, 5, 2)[k]], linewidth=0.7, label=label)
         for begin, end in sheet.stretches_s:
             ax.axvspan(begin, end, color="#999999", alpha=0.2, linewidth=0.0)
         ax.set_ylabel(f"{axes[0].name.split('_')[0]} [{unit}]")

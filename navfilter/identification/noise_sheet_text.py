@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR, STANDARD_GRAVITY
-from navfilter.foundation.quoting import one_line
+from navfilter.foundation.quoting import json_value, one_line
 from navfilter.identification.noise_sheet import AllanCurve, AxisSheet, NoiseSheet
 from navfilter.identification.noise_terms import NoiseFit
-from navfilter.identification.report import plain
 from navfilter.rendering.page import table_text
 
 __all__ = ["allan_rows", "drive_toml", "rows", "sheet_dict", "sheet_text"]
@@ -226,7 +225,7 @@ def _digits(value: float, digits: int = 4) -> str:
 def sheet_dict(sheet: NoiseSheet) -> dict[str, Any]:
     """Everything as plain numbers, lists and text, in SI and in the units of the sheet; None where no number is."""
     return {
-        key: plain(value)
+        key: json_value(value)
         for key, value in {
             "source": sheet.source,
             "rate_hz": sheet.rate_hz,

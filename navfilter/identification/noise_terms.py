@@ -200,14 +200,8 @@ def _starts(problem: _Problem) -> list[Array]:
 def _descend(problem: _Problem, start: Array) -> optimize.OptimizeResult:
     bounds = problem.bounds(start)
     low, high = np.array(bounds).T
-    return optimize.minimize(
-        problem.cost,
-        np.clip(start, low, high),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxiter": 500, "ftol": 1e-13},
-    )
+    begin, how = np.clip(start, low, high), {"maxiter": 500, "ftol": 1e-13}
+    return optimize.minimize(problem.cost, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=how)
 
 
 def _read(problem: _Problem, at: Array, cost: float) -> NoiseFit:
@@ -223,17 +217,9 @@ def _read(problem: _Problem, at: Array, cost: float) -> NoiseFit:
         k += 2 if kind == "gauss-markov" else 1
     white, ratio = math.exp(at[0]), math.exp(at[1])
     slope = np.array([white * (ratio - 1.0), white * ratio])
-    return NoiseFit(
-        tuple(terms),
-        ratio,
-        white * (ratio - 1.0),
-        math.sqrt(max(float(slope @ covariance[:2, :2] @ slope), 0.0)),
-        float(bands.high.max()),
-        cost,
-        problem.size,
-        bands.power.size,
-        dispersion,
-    )
+    rise = white * (ratio - 1.0), math.sqrt(max(float(slope @ covariance[:2, :2] @ slope), 0.0))
+    counts = problem.size, bands.power.size
+    return NoiseFit(tuple(terms), ratio, *rise, float(bands.high.max()), cost, *counts, dispersion)
 
 
 def _dispersion(bands: Bands, model: Array, parameters: int) -> float:

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.foundation import utc
+from navfilter.foundation.quoting import json_value
 from navfilter.identification.conditioning import Conditioned, condition
-from navfilter.identification.report import plain, write_page
+from navfilter.identification.report import write_page
 from navfilter.io.series import Series
 from navfilter.models.interpretation import number, read_model
 from navfilter.rendering.drawing import COLOURS, DASHES, WIDTH_IN, band, line, style
@@ -212,16 +213,8 @@ def tracks_text(tracks: Tracks, unit: str = "") -> str:
     """Table for the terminal: a dozen looks, and the last model in words."""
     shown = np.unique(np.linspace(0, tracks.time_s.size - 1, 12).astype(int))
     per = f"{unit}/sqrt(s)" if unit else "1/sqrt(s)"
-    header = [
-        "time [s]",
-        "order",
-        "ar",
-        "ma",
-        "sd" + (f" [{unit}]" if unit else ""),
-        "largest pole",
-        f"bias walk [{per}]",
-        "white",
-    ]
+    sd = f"sd [{unit}]" if unit else "sd"
+    header = ["time [s]", "order", "ar", "ma", sd, "largest pole", f"bias walk [{per}]", "white"]
     rows = []
     for k in shown:
         ar, ma = (
@@ -279,7 +272,7 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
         "reading": _last_reading(tracks),
         "remarks": list(data.notes),
     }
-    (folder / "identify.json").write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
+    (folder / "identify.json").write_text(json.dumps(json_value(result), indent=1) + "\n", encoding="utf-8")
     caption = (
         f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with "
         "two standard deviations."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +13,22 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from navfilter.foundation.quoting import json_value
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
 from navfilter.io import units
 from navfilter.io.tracks.atomic_files import replacing
-from navfilter.io.vehicle_toml import _plain as toml_value
-from navfilter.io.vehicle_toml import _toml as toml_text
+from navfilter.io.vehicle_toml import error_text
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.interpretation import number
 from navfilter.rendering.drawing import style, svg
-from navfilter.rendering.page import escape, figure_html, heading_html, page, table_html
+from navfilter.rendering.page import figure_html, heading_html, list_html, page, table_html
 from navfilter.timeseries.roots import root_sd
 
 __all__ = ["as_dict", "error_lines", "summary_text", "write_identification", "write_page"]
 
 
-def write_identification(
-    found: Identification, folder: Path, unit: str = "", progress: Callable[[], Any] | None = None
-) -> list[Path]:
+def write_identification(found: Identification, folder: Path, unit: str = "") -> list[Path]:
     """Write identify.json, one .svg per figure and identify.html.
 
     Parameters
@@ -40,8 +38,6 @@ def write_identification(
         Must exist; files of the same name are replaced.
     unit : str
         Unit of the series.
-    progress : callable, optional
-        Called after each figure.
 
     Returns
     -------
@@ -49,26 +45,15 @@ def write_identification(
     """
     body = [table_html(["", ""], _summary(found, unit), text_columns=(1,))]
     if found.remarks:
-        body.append("<ul>" + "".join(f"<li>{escape(remark)}</li>" for remark in found.remarks) + "</ul>")
+        body.append(list_html(found.remarks))
+    title, drawn = f"{found.data.name}: {found.reading.text}", identification_figures(found, unit)
     with style():
-        figures = write_page(
-            folder,
-            f"{found.data.name}: {found.reading.text}",
-            found.data.source,
-            body,
-            identification_figures(found, unit),
-            progress,
-        )
+        figures = write_page(folder, title, found.data.source, body, drawn)
     return [_write(folder / "identify.json", json.dumps(as_dict(found, unit), indent=1) + "\n"), *figures]
 
 
 def write_page(
-    folder: Path,
-    title: str,
-    subtitle: str,
-    body: list[str],
-    figures: Iterable[tuple[str, str, str, Figure]],
-    progress: Callable[[], Any] | None = None,
+    folder: Path, title: str, subtitle: str, body: list[str], figures: Iterable[tuple[str, str, str, Figure]]
 ) -> list[Path]:
     """Write each figure as .svg, and identify.html with all of them inside; stem, heading, caption and figure of
     each.
@@ -79,8 +64,6 @@ def write_page(
         drawn = svg(figure)
         written[-1].write_bytes(drawn)
         body += [heading_html(heading), figure_html(drawn, caption)]
-        if progress is not None:
-            progress()
     return [_write(folder / "identify.html", page(title, title, subtitle, body)), *written]
 
 
@@ -100,15 +83,11 @@ def summary_text(found: Identification, unit: str = "") -> str:
 def _summary(found: Identification, unit: str) -> list[list[str]]:
     data, fit, tests = found.data, found.fit, found.tests
     u = f" {unit}" if unit else ""
-    sds = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    sds, length_s = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), data.value.size / data.rate_hz
     rows = [
         ["reading", found.reading.text],
         ["sizes", found.reading.details],
-        [
-            "samples",
-            f"{fit.n} at {data.rate_hz:.6g} Hz ({data.value.size / data.rate_hz:.6g} s), level "
-            f"{number(_level(found))}{u}",
-        ],
+        ["samples", f"{fit.n} at {data.rate_hz:.6g} Hz ({length_s:.6g} s), level {number(_level(found))}{u}"],
         ["order", _order(found)],
         ["ar", _coefficients(fit.ar, sds[: fit.p])],
         ["ma", _coefficients(fit.ma, sds[fit.p :])],
@@ -124,18 +103,12 @@ def _summary(found: Identification, unit: str) -> list[list[str]]:
     ]
     against = "" if np.isnan(data.value).any() else ", ln L {:+.1f} against it"
     for process in found.gauss_markov:
-        rows.append(
-            [
-                f"Gauss-Markov {process.order}",
-                f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s"
-                + against.format(process.loglik - fit.loglik),
-            ]
-        )
+        size = f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s"
+        rows.append([f"Gauss-Markov {process.order}", size + against.format(process.loglik - fit.loglik)])
     rows.append(["Allan deviation", _allan(found, u)])
     if data.step > 0.0:
-        rows.append(
-            ["quantisation", f"step {number(data.step)}{u}, rounding noise {number(data.step / math.sqrt(12.0))}{u}"]
-        )
+        rounding = number(data.step / math.sqrt(12.0))
+        rows.append(["quantisation", f"step {number(data.step)}{u}, rounding noise {rounding}{u}"])
     toml, python = error_lines(found.reading.error, unit)
     rows += [["vehicle.toml", toml], ["Python", python]]
     return [row for row in rows if row[1]]
@@ -209,9 +182,8 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
     ('error = {model = "white", sd = 0.18}', 'error=nf.White(sd=0.18)')
     """
     scaled = _scaled(error, units.unit(unit).factor)
-    parts = scaled.parts if isinstance(scaled, Sum) else (scaled,)
-    python = " + ".join(f"nf.{part!r}" for part in parts)
-    return f"error = {toml_text(toml_value(scaled, type(scaled), 'error'))}", f"error={python}"
+    python = " + ".join(f"nf.{part!r}" for part in scaled.terms)
+    return f"error = {error_text(scaled, ())}", f"error={python}"
 
 
 def _scaled(error: ErrorModel, factor: float) -> ErrorModel:
@@ -231,15 +203,10 @@ def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:
     data, fit, table = found.data, found.fit, found.table
     poles, zeros = fit.model.poles, fit.model.zeros
     toml, python = error_lines(found.reading.error, unit)
-    criteria = (
-        {}
-        if table is None
-        else {
-            **{name: getattr(table, name) for name in ("loglik", "aic", "aicc", "bic", "hq", "sd")},
-            "wt": table.whiteness,
-            "is_white": table.is_white,
-        }
-    )
+    criteria: dict[str, Any] = {}
+    if table is not None:
+        criteria = {name: getattr(table, name) for name in ("loglik", "aic", "aicc", "bic", "hq", "sd")}
+        criteria |= {"wt": table.whiteness, "is_white": table.is_white}
     result = {
         "name": data.name,
         "source": data.source,
@@ -273,29 +240,12 @@ def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:
             for g in found.gauss_markov
         ],
         "allan": {"tau_s": found.allan_tau_s, "deviation": found.allan, "model": found.allan_model},
-        "quantisation": {
-            "step": data.step,
-            "sd": data.step / math.sqrt(12.0),
-            "too_coarse": bool(data.step > fit.sd),
-        },
+        "quantisation": {"step": data.step, "sd": data.step / math.sqrt(12.0), "too_coarse": bool(data.step > fit.sd)},
         "error": {"toml": toml, "python": python},
         "remarks": list(found.remarks),
     }
-    return {key: plain(value) for key, value in result.items()}
+    return {key: json_value(value) for key, value in result.items()}
 
 
 def _pairs(roots: ArrayLike) -> list[list[float]]:
     return [[float(r.real), float(r.imag)] for r in np.asarray(roots)]
-
-
-def plain(value: Any) -> Any:
-    """Arrays as lists, NumPy numbers as Python's, numbers that are not finite as None."""
-    if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(part) for part in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -21,19 +21,9 @@ __all__ = ["Unclear", "edited", "write_calibrated"]
 
 #: Fields that a calibration sets.
 _FIELDS = (
-    "time_offset_s",
-    "time_offset_sd_s",
-    "lever_arm_b_m",
-    "lever_arm_sd_m",
-    "mounting_rad",
-    "scale_sd",
-    "misalignment_sd_rad",
-    "bias_sd_rad",
-    "deviation_sd_rad",
-    "hard_iron_sd",
-    "soft_iron_sd",
-    "offset_sd_m",
-)
+    "time_offset_s", "time_offset_sd_s", "lever_arm_b_m", "lever_arm_sd_m", "mounting_rad", "scale_sd",
+    "misalignment_sd_rad", "bias_sd_rad", "deviation_sd_rad", "hard_iron_sd", "soft_iron_sd", "offset_sd_m",
+)  # fmt: skip
 #: Digits that are written: far finer than any sd.
 _DIGITS = 7
 
@@ -210,9 +200,7 @@ def _inline(text: str, owner: str, spelled: str, keys: Mapping[str, str]) -> str
 
 def _alike(back: Vehicle, vehicle: Vehicle) -> bool:
     """Whether a vehicle that was read back is this one, but for rounding."""
-    if list(back.sensors) != list(vehicle.sensors):
-        return False
-    if list(back.driving) != list(vehicle.driving):
+    if list(back.sensors) != list(vehicle.sensors) or list(back.driving) != list(vehicle.driving):
         return False
     pairs: list[tuple[Any, Any]] = [(back.driving[name], drive) for name, drive in vehicle.driving.items()]
     pairs += [(back.drive.compass, vehicle.drive.compass), (back.drive.velocity_sensor, vehicle.drive.velocity_sensor)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from navfilter.models.mechanisation import Mechanisation
@@ -31,19 +32,23 @@ def contents() -> tuple[tuple[tuple[Columns, ...], tuple[Columns, ...]], ...]:
     """What a stream may consist of, as the kinds state it: the groups that must be there, then those that may."""
     found = []
     for kind in (*kinds_below(Mechanisation), *kinds_below(Sensor)):
-        for must in kind.contents:  # type: ignore[attr-defined]
-            forms = FORMS.get(must[0].group, ()) if len(must) == 1 else ()
-            found += [(given, kind.beside) for given in (must, *((form,) for form in forms))]  # type: ignore[attr-defined]
+        found += [(given, kind.beside) for given in _readable(kind)]  # type: ignore[attr-defined]
     return tuple(dict.fromkeys(found))
+
+
+def _readable(kind: Any) -> Iterator[tuple[Columns, ...]]:
+    """The groups that a kind must be given, in all their forms."""
+    for must in kind.contents:
+        yield must
+        if len(must) == 1:
+            yield from ((form,) for form in FORMS.get(must[0].group, ()))
 
 
 def kind_of(given: set[str]) -> Any:
     """The kind of sensor that reads these groups; None where only a drive does."""
     for kind in kinds_below(Sensor):
-        for must in kind.contents:  # type: ignore[attr-defined]
-            forms = FORMS.get(must[0].group, ()) if len(must) == 1 else ()
-            if any({columns.group for columns in one} <= given for one in (must, *((form,) for form in forms))):
-                return kind
+        if any({columns.group for columns in must} <= given for must in _readable(kind)):
+            return kind
     return None
 
 
@@ -62,13 +67,10 @@ def groups() -> dict[str, Columns]:
         When two kinds mean different columns by one key.
     """
     streams = contents()
-    every = (
-        [columns for must, _ in streams for columns in must]
-        + [columns for _, may in streams for columns in may]
-        + [*TRUTH_ONLY]
-    )
+    every = [columns for must, _ in streams for columns in must]
+    every += [columns for _, may in streams for columns in may]
     found: dict[str, Columns] = {}
-    for columns in every:
+    for columns in (*every, *TRUTH_ONLY):
         if found.setdefault(columns.group, columns) != columns:
             raise ValueError(
                 f'two kinds of sensors mean different columns by "{columns.group}"; give one of them another name.'

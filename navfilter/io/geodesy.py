@@ -58,19 +58,6 @@ def geodetic_from_local(ned_m: Array, latitude_rad: float, longitude_rad: float,
     return geodetic_from_ecef(ecef_from_geodetic(origin) + np.asarray(ned_m) @ axes)
 
 
-def north_east_m(latitude: Array, longitude: Array) -> Array:
-    """Metres north and east (n, 2) of the first point that is known; good within some 100 km of it."""
-    known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
-    if not known.size:
-        return np.full((latitude.size, 2), np.nan)
-    first = known[0]
-    sine = np.sin(latitude[first])
-    w = np.sqrt(1.0 - _E2 * sine**2)
-    meridian, normal = SEMI_MAJOR_M * (1.0 - _E2) / w**3, SEMI_MAJOR_M / w
-    east = np.remainder(longitude - longitude[first] + np.pi, 2.0 * np.pi) - np.pi
-    return np.stack([(latitude - latitude[first]) * meridian, east * normal * np.cos(latitude[first])], axis=-1)
-
-
 def matrix_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
     """C_nb (n, 3, 3) from roll, pitch, yaw, rotating about z, then y, then x."""
     sr, cr, sp, cp, sy, cy = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw)
@@ -80,14 +67,6 @@ def matrix_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
         [-sp, cp * sr, cp * cr],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def euler_from_matrix(C_nb: Array) -> Array:
-    """Roll, pitch, yaw (n, 3) of matrices C_nb (n, 3, 3)."""
-    pitch = -np.arcsin(np.clip(C_nb[:, 2, 0], -1.0, 1.0))
-    return np.stack(
-        [np.arctan2(C_nb[:, 2, 1], C_nb[:, 2, 2]), pitch, np.arctan2(C_nb[:, 1, 0], C_nb[:, 0, 0])], axis=-1
-    )
 
 
 def matrix_from_quaternion(wxyz: Array) -> Array:
@@ -101,8 +80,3 @@ def matrix_from_quaternion(wxyz: Array) -> Array:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def wrapped(angle: Array) -> Array:
-    """Angles within [-pi, pi)."""
-    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi

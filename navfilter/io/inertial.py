@@ -220,7 +220,7 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
             raise MissionError(
                 f"{table.path}: --{group} takes three columns x,y,z, found {len(names)}: {','.join(names)}."
             )
-        references = [_reference(table, name) for name in names]
+        references = [table.name_of(name) for name in names]
         values = [table.numbers(name)[0] for name in references]
         factor = _factor(table, group, getattr(columns, f"{group}_unit"), references, values, notes)
         notes.append(f"{group}: {', '.join(references)}")
@@ -232,8 +232,7 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
         )
     clock = columns.time_column or ("log_time" if columns.rate_hz is None and "log_time" in table.columns else "")
     if clock:
-        reference = _reference(table, clock)
-        time = series_times(table, reference, columns.time_unit)
+        time = series_times(table, table.name_of(clock), columns.time_unit)
     elif columns.rate_hz is not None:
         time = np.arange(next(iter(axes.values())).size) / columns.rate_hz
     else:
@@ -242,14 +241,6 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
             f"{table.path}: give the sampling rate with --rate-hz, or the time with --time-column ({names})."
         )
     return _on_a_grid(table.path, time, axes, columns.rate_hz, notes)
-
-
-def _reference(table: Table, column: str) -> str:
-    if column not in table.columns and column.lstrip("-").isdecimal():
-        table.raw(int(column))
-        return list(table.columns)[int(column)]
-    table.raw(column)
-    return column
 
 
 def _factor(

@@ -52,18 +52,9 @@ __all__ = [
 LONGEST_LINE = 65536
 #: What can be wrong with a line.
 BAD_KINDS = (
-    "too-long",
-    "not-utf8",
-    "not-json",
-    "not-an-object",
-    "unknown-sensor",
-    "wrong-fields",
-    "wrong-type",
-    "wrong-size",
-    "not-finite",
-    "wrong-time",
-    "wrong-start",
-)
+    "too-long", "not-utf8", "not-json", "not-an-object", "unknown-sensor", "wrong-fields",
+    "wrong-type", "wrong-size", "not-finite", "wrong-time", "wrong-start",
+)  # fmt: skip
 Array = npt.NDArray[np.float64]
 #: Later than this no clock counts in seconds: milliseconds since 1970 are beyond it [s].
 LATEST_S = 1e11
@@ -181,11 +172,8 @@ class LineParser:
         except (ValueError, RecursionError) as error:
             if isinstance(error, _Wrong):
                 raise
-            reason = (
-                str(error).splitlines()[0]
-                if isinstance(error, json.JSONDecodeError)
-                else "too deep, or a number too long"
-            )
+            of_json = isinstance(error, json.JSONDecodeError)
+            reason = str(error).splitlines()[0] if of_json else "too deep, or a number too long"
             raise _Wrong("not-json", reason) from None
         if type(fields) is not dict:
             raise _Wrong("not-an-object", f"a line is an object {{...}}, found {type(fields).__name__}")

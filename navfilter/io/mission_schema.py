@@ -31,9 +31,16 @@ def each_of(given: Reference | tuple[Reference, ...] | None) -> set[Reference]:
     return set(given) if isinstance(given, tuple) else set() if given is None else {given}
 
 
-def _check_unit(name: str) -> str:
-    unit(name)
-    return name
+def _known_units(given: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+    for name in (given,) if isinstance(given, str) else given or ():
+        unit(name)
+    return given
+
+
+def _known_quantity(value: float | str | None) -> float | str | None:
+    if isinstance(value, str):
+        parse_quantity(value)
+    return value
 
 
 class Component(Strict):
@@ -42,13 +49,11 @@ class Component(Strict):
     column: Reference | tuple[Reference, ...] | None = None
     constant: float | None = None
     mean: tuple[Reference, ...] | None = None
-    unit: str | None = None
+    unit: Annotated[str | None, AfterValidator(_known_units)] = None
     scale: float | None = None
-    offset: float | str | None = None
+    offset: Annotated[float | str | None, AfterValidator(_known_quantity)] = None
     absolute: bool | None = None
     radius_m: float | None = Field(default=None, gt=0)
-
-    _unit = field_validator("unit")(lambda v: None if v is None else _check_unit(v))
 
     @model_validator(mode="after")
     def _one_origin(self) -> Component:
@@ -57,13 +62,6 @@ class Component(Strict):
         if self.mean is not None and not self.mean:
             raise ValueError("mean needs the columns that it is of")
         return self
-
-    @field_validator("offset")
-    @classmethod
-    def _offset(cls, value: float | str | None) -> float | str | None:
-        if isinstance(value, str):
-            parse_quantity(value)
-        return value
 
 
 class Origin(Strict):
@@ -78,9 +76,9 @@ class Group(Strict):
     """Columns that belong together. Per column: SI = unit(scale * raw + offset), with |raw| if `absolute`."""
 
     columns: tuple[Component, ...]
-    unit: str | tuple[str, ...] = ""
+    unit: Annotated[str | tuple[str, ...], AfterValidator(_known_units)] = ""
     scale: float = 1.0
-    offset: float | str = 0.0
+    offset: Annotated[float | str, AfterValidator(_known_quantity)] = 0.0
     absolute: bool = False
     radius_m: float | None = Field(default=None, gt=0)
     invalid: tuple[float, ...] = ()
@@ -111,20 +109,6 @@ class Group(Strict):
             whole = [{"column": c} if isinstance(c, str | int) else c for c in data["columns"]]
             data = {**data, "columns": whole}
         return data
-
-    @field_validator("unit")
-    @classmethod
-    def _units(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        for name in (value,) if isinstance(value, str) else value:
-            _check_unit(name)
-        return value
-
-    @field_validator("offset")
-    @classmethod
-    def _offset(cls, value: float | str) -> float | str:
-        if isinstance(value, str):
-            parse_quantity(value)
-        return value
 
     @field_validator("axes")
     @classmethod

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arguments import within
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
@@ -34,6 +35,7 @@ from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place, expand
 from navfilter.io.validation import read_toml, validate
 from navfilter.models.during import During
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
+from navfilter.models.state import euler_from_matrix, wrap
 
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -120,11 +122,9 @@ def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -
 
 
 def _windowed(stream: Stream, spec: StreamSpec) -> Stream:
-    keep = np.ones(len(stream), dtype=bool)
+    keep = ~within(stream.time_s, spec.hide)
     if spec.windows:
-        keep = np.logical_or.reduce([(stream.time_s >= a) & (stream.time_s <= b) for a, b in spec.windows])
-    for a, b in spec.hide:
-        keep &= ~((stream.time_s >= a) & (stream.time_s <= b))
+        keep &= within(stream.time_s, spec.windows)
     return stream if keep.all() else stream.keep(keep)
 
 
@@ -191,7 +191,7 @@ class _Reader:
             value[:, 6:9] = parts["attitude"]
         elif "quaternion" in parts:
             value[:, 6:9] = _euler(parts["quaternion"], spec, axes)
-        value[:, [1, 6, 8]] = geodesy.wrapped(value[:, [1, 6, 8]])
+        value[:, [1, 6, 8]] = wrap(value[:, [1, 6, 8]])
         if spec.lever_arm_b_m is not None:
             value = _without_lever_arm(time_s, value, np.array(spec.lever_arm_b_m))
         return Stream(time_s, value, TRUTH_COLUMNS)
@@ -392,7 +392,7 @@ def _assembled(time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[
     names = tuple(name for group in parts for name in columns[group])
     value = np.column_stack(list(parts.values()))
     circular = _on_circle(names)
-    value[:, circular] = geodesy.wrapped(value[:, circular])
+    value[:, circular] = wrap(value[:, circular])
     return Stream(time_s, value, names, sd)
 
 
@@ -419,7 +419,7 @@ def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
                 'a quaternion with reference = "ecef" needs a position in the same stream (see [truth]).'
             )
         C = axes @ C
-    return geodesy.euler_from_matrix(C)
+    return euler_from_matrix(C)
 
 
 def _without_lever_arm(time_s: Array, value: Array, lever_b_m: Array) -> Array:

@@ -4,15 +4,10 @@ stream.
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import lzma
 import os
 import re
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +18,7 @@ from navfilter.io.columns import series_times
 from navfilter.io.table import TableOptions
 from navfilter.io.tables import Table, read_table
 from navfilter.io.text_tables import delimiter_of, fields_of, marked_encoding
-from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
+from navfilter.io.trust import BROKEN, OPENERS, UNPACKED_BYTES, Allowance, Place
 from navfilter.models.mission import MissionError
 
 __all__ = ["Series", "first_lines", "on_a_grid", "read_series"]
@@ -128,8 +123,7 @@ def read_series(
         if rate_hz is None:
             raise MissionError(f"{text}: give the sampling rate with --rate-hz, or the time with --time-column.")
         return Series(name, value, float(rate_hz), text, 0.0, tuple(notes))
-    reference = _reference(table, time_column)
-    time = series_times(table, reference, time_unit)
+    time = series_times(table, table.name_of(time_column), time_unit)
     if time.shape != value.shape:
         raise MissionError(f'{text}: "{time_column}" has {time.size} values and "{name}" has {value.size}.')
     return on_a_grid(name, time, value, rate_hz, text, notes)
@@ -152,7 +146,6 @@ def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[Tabl
 
 
 _CONTAINERS = (".npy", ".npz", ".mat")
-_OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
 #: Characters in which a header is looked for: a line need not end.
 _BEGINNING = 1 << 20
 
@@ -160,26 +153,17 @@ _BEGINNING = 1 << 20
 def first_lines(path: Path, most: int = 40) -> list[str]:
     """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
     try:
-        with _OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
+        with OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
             data = file.read(_BEGINNING)
         return data.decode(marked_encoding(data) or "utf-8", errors="replace").splitlines(keepends=True)[:most]
-    except (OSError, EOFError, lzma.LZMAError, zlib.error):
+    except BROKEN:
         return []
-
-
-def _reference(table: Table, column: str) -> str:
-    """Name of a column given by name or position."""
-    if column not in table.columns and column.lstrip("-").isdecimal():
-        table.raw(int(column))
-        return list(table.columns)[int(column)]
-    table.raw(column)
-    return column
 
 
 def _column(table: Table, column: str | None, time_column: str | None) -> str:
     if column is not None:
-        return _reference(table, column)
-    others = [name for name in table.columns if time_column is None or name != _reference(table, time_column)]
+        return table.name_of(column)
+    others = [name for name in table.columns if time_column is None or name != table.name_of(time_column)]
     if len(others) != 1:
         raise MissionError(f"{table.path}: say which column with --column (columns: {', '.join(others)}).")
     return others[0]

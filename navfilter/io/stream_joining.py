@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from navfilter.io.geodesy import wrapped
+from navfilter.models.state import wrap
 
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -70,7 +70,7 @@ def circular_mean(angles: Array, axis: int = 0, known_only: bool = False) -> Arr
     count = np.maximum(np.sum(weight, axis=axis), 1)
     first = np.take_along_axis(angles, np.expand_dims(np.argmax(there, axis=axis), axis), axis).squeeze(axis)
     direction = np.where(np.hypot(sine, cosine) > _CANCELLED * count, np.arctan2(sine, cosine), np.nan)
-    return np.asarray(first + wrapped(direction - first))
+    return np.asarray(first + wrap(direction - first))
 
 
 def _continuous(quaternion: Array) -> Array:

@@ -102,6 +102,14 @@ class Table:
             raise MissionError(f'{self.path}: there is no column "{reference}" ({known}).')
         return self.columns[reference]
 
+    def name_of(self, reference: str) -> str:
+        """Name of a column given by its name or, as text, by its position."""
+        if reference not in self.columns and reference.lstrip("-").isdecimal():
+            self.raw(int(reference))
+            return list(self.columns)[int(reference)]
+        self.raw(reference)
+        return reference
+
     def joined(self, reference: str | int | tuple[str | int, ...]) -> npt.NDArray[Any]:
         """A column, or the texts of several with a blank between, row by row: a date and its time, a number and its
         letter.

@@ -6,10 +6,6 @@ whatever was skipped on the way is counted in `Table.notes`.
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import lzma
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +16,7 @@ import numpy.typing as npt
 from navfilter.foundation.display import counted
 from navfilter.io.table import Table, TableOptions, Where, listing
 from navfilter.io.text_tables import before_comment, read_text
-from navfilter.io.trust import Place
+from navfilter.io.trust import BROKEN, OPENERS, Place
 from navfilter.models.mission import MissionError
 
 if TYPE_CHECKING:
@@ -28,7 +24,6 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-_OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
 #: Columns of a MOOS log.
 _ALOG = ("time", "name", "source", "value")
 _BINARY = {".npy", ".npz", ".mat"}
@@ -130,7 +125,7 @@ def _read_long(place: Place, names: tuple[Where, ...], options: TableOptions) ->
 
 
 def _unpack(place: Place) -> bytes:
-    opener = _OPENERS.get(place.path.suffix.lower())
+    opener = OPENERS.get(place.path.suffix.lower())
     try:
         if opener is None:
             return place.path.read_bytes()
@@ -142,7 +137,7 @@ def _unpack(place: Place) -> bytes:
         return bytes(data)
     except MissionError as error:
         raise MissionError(f"{place.shown}: {error}") from None
-    except (OSError, EOFError, lzma.LZMAError, zlib.error, ValueError) as error:
+    except (*BROKEN, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise MissionError(
             f"{place.shown} cannot be unpacked: {reason}. It is truncated or not what its name says."

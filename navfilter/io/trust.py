@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
 import os
 import re
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from navfilter.models.mission import MissionError
 
-__all__ = ["UNPACKED_BYTES", "Allowance", "Place"]
+__all__ = ["BROKEN", "OPENERS", "UNPACKED_BYTES", "Allowance", "Place"]
 
 #: All that the compressed files of one mission may unpack to: a month of inertial samples at 100 Hz is 14 GB, a day
 #: half a GB.
 UNPACKED_BYTES = 4 << 30
+#: What opens a compressed file, by the end of its name, and what it raises for one that is damaged.
+OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
+BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
 
 
 class Allowance:

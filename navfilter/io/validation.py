@@ -13,7 +13,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
 
-from navfilter.foundation.quoting import toml_key, toml_text
+from navfilter.foundation.quoting import toml_key, toml_literal
 
 
 class Strict(BaseModel):
@@ -224,20 +224,7 @@ _ABSENT = object()
 
 
 def _found(value: Any) -> str:
-    return "" if value is _ABSENT else f"; found {_shortened(_shown(value))}"
-
-
-def _shown(value: Any) -> str:
-    """A value as a .toml has it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return toml_text(value)
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_shown(part)}" for key, part in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_shown, value)) + "]"
-    return str(value)
+    return "" if value is _ABSENT else f"; found {_shortened(toml_literal(value))}"
 
 
 def _shortened(text: str) -> str:

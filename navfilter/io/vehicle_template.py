@@ -12,13 +12,13 @@ import math
 import re
 import textwrap
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Any
 
 from navfilter.io.units import SUFFIXES
 from navfilter.models.mechanisation import DeadReckoning, Imu
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor
 from navfilter.models.sensors.heading import COMPASS_ERROR
-from navfilter.models.sensors.traits import kinds_below
+from navfilter.models.sensors.traits import kind_name, kinds_below
 from navfilter.models.sensors.velocity import DVL_ERROR
 
 __all__ = ["DRIVES", "vehicle_template"]
@@ -197,7 +197,7 @@ def _section(
     lines = [*_wrapped(words), f"[{name}]"]
     texts = _parameters(cls)
     if rate_hz is not None:
-        lines += [f'type = "{_kind(cls)}"', f"rate_hz = {rate_hz}"]
+        lines += [f'type = "{kind_name(cls)}"', f"rate_hz = {rate_hz}"]
     lines += live
     given = {match.group(1) for line in lines if (match := re.match(r"(\w+) = ", line))} | (without or set())
     if lever is not None:
@@ -249,10 +249,6 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"[{', '.join(map(_text, value))}]" if isinstance(value, tuple) else repr(value)
-
-
-def _kind(cls: type) -> Literal["imu"] | str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", cls.__name__).lower()
 
 
 def _wrapped(text: str) -> list[str]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 import tomllib
 import types
 import typing
@@ -24,7 +23,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
-from navfilter.foundation.quoting import toml_key, toml_text
+from navfilter.foundation.quoting import toml_key, toml_literal
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.models import periodic_error  # noqa: F401 - kinds are those whose module has been imported
@@ -34,7 +33,7 @@ from navfilter.models.fault_bias import FaultBias
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import DeadReckoningLane, Imu, Mechanisation
 from navfilter.models.sensors import Sensor
-from navfilter.models.sensors.traits import kinds_below
+from navfilter.models.sensors.traits import kind_name, kinds_below
 from navfilter.models.vehicle import RESERVED, Vehicle
 from navfilter.timeseries.model import ArmaModel
 
@@ -120,7 +119,7 @@ def vehicle_file(path: str | os.PathLike[str]) -> Path:
 def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
     given = {"name": vehicle.name, "dead_reckoning_lane": vehicle.dead_reckoning_lane}
-    lines = [f"{key} = {_toml(value)}" for key, value in given.items() if value is not None]
+    lines = [f"{key} = {toml_literal(value)}" for key, value in given.items() if value is not None]
     units: list[Any] = [(f"imus.{toml_key(name)}", unit) for name, unit in vehicle.imus.items()]
     for place, drive in units or [("drive", vehicle.drive)]:
         lines += ["", f"[{place}]", *_lines(drive)]
@@ -159,14 +158,13 @@ def read_learnt(path: str | os.PathLike[str]) -> dict[str, Any] | None:
 def error_text(error: ErrorModel | tuple[ErrorModel, ...], axes: tuple[str, ...]) -> str:
     """An error as the value of its key in a vehicle.toml, in SI; of a tuple one for each of the axes."""
     if isinstance(error, tuple):
-        return _toml({axis: _part_text(model) for axis, model in zip(axes, error, strict=True)})
-    return _toml(_part_text(error))
+        return toml_literal({axis: _part_text(model) for axis, model in zip(axes, error, strict=True)})
+    return toml_literal(_part_text(error))
 
 
 def described_text(models: tuple[ErrorModel, ...]) -> str:
     """Error models by axis, each as the list of its parts, as `read_learnt` takes them."""
-    parts = [model.parts if isinstance(model, Sum) else (model,) for model in models]
-    return _toml([[_table(part) for part in of_axis] for of_axis in parts])
+    return toml_literal([[_table(part) for part in model.terms] for model in models])
 
 
 def _part_text(model: ErrorModel) -> Any:
@@ -176,7 +174,7 @@ def _part_text(model: ErrorModel) -> Any:
 def learnt_keys(part: LearnedArma) -> dict[str, str]:
     """What a learner has adopted, as `read_vehicle` takes it: values as text by the keys of the model's table."""
     table = _table(part)
-    return {key: _toml(table[key]) for key in ("adopted", "slow", "frozen") if key in table}
+    return {key: toml_literal(table[key]) for key in ("adopted", "slow", "frozen") if key in table}
 
 
 def changed(part: Any, keys: dict[str, Any], place: str) -> Any:
@@ -201,7 +199,7 @@ def changed(part: Any, keys: dict[str, Any], place: str) -> Any:
         table.pop(plain_key(key, set(spec.model_fields))[0], None)
         table[key] = list(value) if isinstance(value, tuple) else value
     wrong: list[tuple[str, str]] = []
-    data = tomllib.loads("\n".join(f"{key} = {_toml(value)}" for key, value in table.items()))
+    data = tomllib.loads("\n".join(f"{key} = {toml_literal(value)}" for key, value in table.items()))
     found = _built(validate(spec, data, Path(place), VehicleError), place, wrong, {})
     if wrong:
         raise VehicleError("; ".join(f"{where}: {text}" for where, text in wrong) + ".")
@@ -211,13 +209,9 @@ def changed(part: Any, keys: dict[str, Any], place: str) -> Any:
 # --- classes -> tables ----------------------------------------------------------------------------------------------
 
 
-def _kebab(cls: type) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", cls.__name__).lower()
-
-
 def _concrete(base: type, kinds: Kinds) -> dict[str, type]:
     """Every kind below `base`, by the name it has in a file."""
-    return {_kebab(cls): cls for cls in kinds if issubclass(cls, base)}
+    return {kind_name(cls): cls for cls in kinds if issubclass(cls, base)}
 
 
 def _kinds() -> Kinds:
@@ -281,7 +275,7 @@ class _Axes(Strict):
 def _spec_of(cls: type, kinds: Kinds) -> type[_Spec]:
     key, _ = _base_of(cls)
     hints = typing.get_type_hints(cls)
-    fields: dict[str, Any] = {key: (Literal[_kebab(cls)], ...)}
+    fields: dict[str, Any] = {key: (Literal[kind_name(cls)], ...)}
     for field in dataclasses.fields(cls):
         if not field.init or (cls, field.name) in _NOT_IN_FILES:
             continue
@@ -320,20 +314,14 @@ def _type_of(hint: Any, name: str, owner: type, kinds: Kinds) -> Any:
         models = {kind: cls for kind, cls in _concrete(ErrorModel, kinds).items() if cls is not owner}
         one: Any = _union("model", models, kinds)
         several: Any = Annotated[list[one], AfterValidator(_not_empty)]
-        either = Annotated[
-            Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")],
-            Discriminator(_one_or_sum),
-        ]
-        choices += [
-            Annotated[one, Tag("<one>")],
-            Annotated[several, Tag("<sum>")],
-        ]
+        either = Annotated[Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")], Discriminator(_one_or_sum)]
+        choices += [Annotated[one, Tag("<one>")], Annotated[several, Tag("<sum>")]]
         if not issubclass(owner, ErrorModel):
             axes: dict[str, Any] = dict.fromkeys(_axes_of(owner, name), (either, ...))
             choices.append(
                 Annotated[create_model(f"{owner.__name__}{name.title()}Axes", __base__=_Axes, **axes), Tag("<axes>")]
             )
-    sensors = {_kebab(c): c for c in classes if issubclass(c, Sensor)}
+    sensors = {kind_name(c): c for c in classes if issubclass(c, Sensor)}
     if sensors:
         choices.append(Annotated[_union("type", sensors, kinds), Tag("<sensor>")])
     # A learnt error is that of one axis.
@@ -481,13 +469,13 @@ def _axes_of(owner: type, field: str) -> tuple[str, ...]:
 
 
 def _lines(item: Any) -> list[str]:
-    return [f"{key} = {_toml(value)}" for key, value in _table(item).items()]
+    return [f"{key} = {toml_literal(value)}" for key, value in _table(item).items()]
 
 
 def _table(item: Any) -> dict[str, Any]:
     """The table of an object; fields at their default are left out."""
     key, _ = _base_of(type(item))
-    table: dict[str, Any] = {key: _kebab(type(item))}
+    table: dict[str, Any] = {key: kind_name(type(item))}
     for field in dataclasses.fields(item):
         value = getattr(item, field.name)
         if (
@@ -526,15 +514,3 @@ def _plain(value: Any, owner: type, field: str) -> Any:
     if isinstance(value, tuple) and value and isinstance(value[0], ErrorModel):
         return {name: _plain(part, owner, field) for name, part in zip(_axes_of(owner, field), value, strict=True)}
     return value
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return toml_text(value)
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{toml_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(part) for part in value) + "]"
-    return repr(value) if isinstance(value, int) else repr(float(value))

@@ -5,7 +5,6 @@ vehicle_learned.toml where it learnt.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.foundation import utc
+from navfilter.foundation.quoting import json_value
 from navfilter.io.learned_toml import write_learned
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.tracks.formats import FORMATS, write_track
@@ -146,7 +146,7 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
         "distance_m": result.distance_m,
         "runs": runs,
     }
-    return _finite(summary)
+    return json_value(summary)
 
 
 def _lanes(track: Track) -> dict[str, Any]:
@@ -177,17 +177,6 @@ def write_summary(
 def write_json(value: Any, path: str | os.PathLike[str]) -> Path:
     """Write plain values as JSON; what is not a finite number becomes null."""
     with replacing(path) as file:
-        json.dump(_finite(value), file, indent=2, allow_nan=False, ensure_ascii=False)
+        json.dump(json_value(value), file, indent=2, allow_nan=False, ensure_ascii=False)
         file.write("\n")
     return Path(path)
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for every number that JSON has not."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(part) for part in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

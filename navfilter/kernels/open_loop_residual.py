@@ -45,8 +45,6 @@ CHANGES = 4e-5
 # A single reading counts up to this NIS per component where levels are told apart: three standard deviations of the
 # level in force, or a spike would be another level for a moment; and where fixes are judged [1].
 MOST, NIS_MOST = 9.0, 25.0
-# A matrix is diagonal when what stands beside its diagonal is less than this, squared, of what stands there [1].
-EVEN = 1e-24
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -90,70 +88,6 @@ def after_reading(ear, nis, dof, ticks, learning):
         if _is_another(ear):
             return True
     return ear[NOTED] >= ear[DUE]
-
-
-@njit(cache=True, **UNCOUNTED)
-def is_within(x, P, at, mean, variance, limit):
-    """Whether states (k,), in standard deviations of what was believed of them, have moved by less in their squares
-    than so many times what has been learnt of them.
-    """
-    moved = told = 0.0
-    for k in range(at.size):
-        moved += (x[at[k] - 9] - mean[k]) ** 2 / variance[k]
-        told += max(0.0, 1.0 - P[at[k], at[k]] / variance[k])
-    return moved < limit * told
-
-
-@njit(cache=True, **UNCOUNTED)
-def _turned(one, other, cosine, sine):
-    """Two numbers, turned in their plane."""
-    return cosine * one - sine * other, sine * one + cosine * other
-
-
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
-def information_since(x, P, at, estimate, covariance, least, now, lost):
-    """What constants have been told since their estimate (k,) and covariance (k, k) were such: the squares of their
-    changes over the variance that each should have, and how many there are. That is along the eigenvectors of what the
-    covariance has lost, in units of the sd before; one that has lost less than `least` does not count.
-
-    now (k + 1, k): receives the estimate and, below, the covariance. lost (k + 1, k): work space.
-    """
-    k = at.size
-    change, left = lost[0], lost[1:]
-    for i in range(k):
-        sd = math.sqrt(max(covariance[i, i], 1e-300))
-        now[0, i] = x[at[i] - 9]
-        change[i] = (now[0, i] - estimate[i]) / sd
-        for j in range(k):
-            now[1 + i, j] = P[at[i], at[j]]
-            left[i, j] = (covariance[i, j] - now[1 + i, j]) / sd / math.sqrt(max(covariance[j, j], 1e-300))
-    # Jacobi: plane by plane the matrix is turned until it is diagonal, and the change with it
-    beside = 1.0
-    while beside > EVEN:
-        beside = whole = 0.0
-        for p in range(k):
-            whole += left[p, p] * left[p, p]
-            for q in range(p + 1, k):
-                if left[p, q] == 0.0:
-                    continue
-                beside += left[p, q] * left[p, q]
-                off = 0.5 * (left[q, q] - left[p, p]) / left[p, q]
-                tangent = (1.0 if off >= 0.0 else -1.0) / (abs(off) + math.sqrt(off * off + 1.0))
-                cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
-                sine = tangent * cosine
-                for i in range(k):
-                    left[i, p], left[i, q] = _turned(left[i, p], left[i, q], cosine, sine)
-                for i in range(k):
-                    left[p, i], left[q, i] = _turned(left[p, i], left[q, i], cosine, sine)
-                change[p], change[q] = _turned(change[p], change[q], cosine, sine)
-        beside /= max(whole, 1e-300)
-    length, count = 0.0, 0
-    for i in range(k):
-        if left[i, i] > least:
-            length += change[i] * change[i] / left[i, i]
-            count += 1
-    return length, count
 
 
 @apart

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from navfilter.learning.learner_memory import LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_posterior import DEAD, SlowPosterior, denied, follow
+from navfilter.learning.slow_posterior import SlowPosterior, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
@@ -25,6 +26,8 @@ from navfilter.timeseries.order_criterion import criterion
 __all__ = ["AxisFit", "Learner", "LearnerMemory"]
 
 Array = NDArray[np.float64]
+#: A smooth slow part that had less of the probability is not tried [1].
+UNLIKELY = 1e-4
 
 
 class AxisFit(NamedTuple):
@@ -50,8 +53,9 @@ class Learner:
     """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
 
     The error is a slow part beside a fast ARMA part. The fast part is fitted with the slow one, for each order; the
-    orders are weighed by BIC. Of the slow part there is a posterior, which adds up over the hops (`follow`): one model
-    with its mean covariance is handed out. What the data cannot tell is thereby carried as variance.
+    orders are weighed by BIC. Of the slow part there is a posterior: one model with its mean covariance is handed out.
+    What the data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
+    estimates are known, from which it begins.
 
     Parameters
     ----------
@@ -102,7 +106,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, 0, 0, {}, 0)
+        self._memory = LearnerMemory({}, {}, {}, {}, 1.0, ((0, 0), 0), 0, 0, 0, 0)
 
     @property
     def memory(self) -> LearnerMemory:
@@ -158,8 +162,13 @@ class Learner:
             return None
         fresh = y.size if fresh is None else fresh
         heard = fresh + self._memory.heard
-        # until the window is full, all that was ever heard is in it
-        first = 0 if heard <= y.size else max(0, y.size - fresh)
+        if self._is_fitted(able, heard):
+            order, slow = self._memory.chosen
+            point = likelihood.point(self._known(likelihood, order, slow), order[0], slow)
+            posterior = self._slow(likelihood, point, same=True)
+            lines = {} if posterior is None else posterior.lines
+            self._memory = replace(self._memory, heard=heard, lines=lines)
+            return AxisFit(likelihood, point, posterior, n)
         # what is heard for the first time is half of it
         again = heard >= 2 * self._memory.grown
         fits = self._fits(likelihood, able, n, again)
@@ -168,26 +177,29 @@ class Learner:
         scores = {order: self._score(point, n) for order, point in fits.items()}
         best = min(scores, key=lambda order: scores[order])
         point, tried = self._smooth(likelihood, fits, scores, best, n)
-        posterior = None
-        if self.prior is not None:
-            forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
-            posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
-            if first > 0 and self._contradicted(likelihood, point, posterior):
-                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
-        self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
+        posterior = self._slow(likelihood, point)
+        self._keep(likelihood, fits, scores, point, posterior, heard, again, tried)
         return AxisFit(likelihood, point, posterior, n)
 
-    def _contradicted(self, likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
-        """Whether earlier evidence, which was given another fast part, does not go with this window: both together lead
-        to a slow part that the one or the other denies.
-        """
-        assert self.prior is not None
-        node = posterior.mode
-        if denied(self._memory.lines, self.prior, node) > EFFORT.contradicted:
-            return True
-        fast = likelihood.fast(point.theta, point.slow)
-        theta = np.concatenate([fast, [math.log(node.sd) + likelihood.log_unit, math.log(node.tau_s)]])
-        return bool(likelihood.penalised([theta], point.p, node.order)[0] > point.value + EFFORT.contradicted)
+    def _slow(self, likelihood: Likelihood, point: Point, same: bool = False) -> SlowPosterior | None:
+        """The posterior of the slow part beside the fast one of a point, which may be the `same` as before."""
+        if self.prior is None:
+            return None
+        return slow_posterior(likelihood, point.theta, point.p, self._memory.lines, same)
+
+    def _is_fitted(self, able: list[Order], heard: int) -> bool:
+        """Whether the fast part stays as it is, for some of what it was fitted to is in the window still."""
+        memory = self._memory
+        known = memory.heard >= self.window // 2 and all(order in memory.scores for order in able)
+        return known and heard < memory.fitted + self.window
+
+    def _known(self, likelihood: Likelihood, order: Order, slow: int) -> Array:
+        """An earlier estimate, in the unit of a likelihood."""
+        theta = (self._memory.smooth if slow == 2 else self._memory.thetas)[order].copy()
+        at = sum(order)
+        theta[at : at + 1 + bool(slow)] += likelihood.log_unit
+        confined: Array = likelihood.confine([theta], order[0], slow)[0]
+        return confined
 
     def _score(self, point: Point, n: int) -> float:
         """Half of BIC; the slow part is there for every order."""
@@ -207,10 +219,8 @@ class Learner:
             enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n)
             below = {k: point for k, point in fits.items() if k[0] <= p and k[1] <= q}
             if known is not None:
-                moved = known.copy()
-                moved[p + q : p + q + 1 + slow] += likelihood.log_unit
                 grown = grown_starts(likelihood, below, p, q) if again and p + q > EFFORT.one_maximum else []
-                starts = [moved, *(grown or padded_starts(likelihood, below, p, q))]
+                starts = [self._known(likelihood, order, slow), *(grown or padded_starts(likelihood, below, p, q))]
                 point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, 2 if grown else 1, enough)
             else:
                 starts = [*padded_starts(likelihood, below, p, q), *grown_starts(likelihood, below, p, q)]
@@ -237,11 +247,8 @@ class Learner:
         self, likelihood: Likelihood, fits: dict[Order, Point], scores: dict[Order, float], best: Order, n: int
     ) -> tuple[Point, tuple[Order, Point] | None]:
         """The best point, with a slow part of second order where that serves better; and what was tried for that."""
-        found, lowest, lines = fits[best], scores[best], self._memory.lines
-        likely = (
-            not lines or max(float(line.evidence.max()) for (order, _), line in lines.items() if order == 2) > -DEAD
-        )
-        if self.prior is None or not likely:
+        found, lowest = fits[best], scores[best]
+        if self.prior is None or self._memory.smooth_odds < UNLIKELY:
             return found, None
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
         young = self._memory.heard < self.window // 2
@@ -249,10 +256,7 @@ class Learner:
             (order, with_slow_parts(likelihood, [likelihood.fast(fits[order].theta, 1)], order[0], 2)[0])
             for order in ({best, min(fits)} if young or not self._memory.smooth else {min(fits)})
         ]
-        for order, known in self._memory.smooth.items():
-            moved = known.copy()
-            moved[sum(order) : sum(order) + 2] += likelihood.log_unit
-            starts.append((order, moved))
+        starts += [(order, self._known(likelihood, order, 2)) for order in self._memory.smooth]
         values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
         order, start = starts[int(np.argmin(values))]
         point = maximise(likelihood, [start], order[0], EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
@@ -265,9 +269,10 @@ class Learner:
         likelihood: Likelihood,
         fits: dict[Order, Point],
         scores: dict[Order, float],
+        point: Point,
         posterior: SlowPosterior | None,
         heard: int,
-        grown: int,
+        again: bool,
         tried: tuple[Order, Point] | None,
     ) -> None:
         memory, slow = self._memory, 0 if self.prior is None else 1
@@ -281,5 +286,11 @@ class Learner:
         smooth = {} if tried is None else {tried[0]: kept(*tried)}
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
+        order = (point.p, point.theta.size - 1 - point.p - 2 * bool(point.slow))
+        odds = 1.0 if posterior is None else float(posterior.weight[posterior.order == 2].sum())
         lines = {} if posterior is None else posterior.lines
-        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown)
+        grown = heard if again else memory.grown
+        chosen = order, point.slow
+        self._memory = LearnerMemory(
+            thetas, gaps, smooth, lines, odds, chosen, memory.turn + 1, heard, grown, fitted=heard
+        )

@@ -27,25 +27,32 @@ class LearnerMemory:
         Estimates of every order that has been fitted, in the unit of the series; see `Likelihood`.
     scores : dict of (p, q) to float
         Half the BIC above that of the best, when fitted last.
+    smooth : dict of (p, q) to ndarray
+        As `thetas`, with a slow part of second order: of the order that it was tried with last.
     lines : dict of (order, number of tau) to Line
-        Evidence for the slow part.
+        Of the posterior of the slow part, see `SlowPosterior`.
+    smooth_odds : float
+        Probability of a slow part of second order.
+    chosen : ((p, q), order of the slow part)
+        The best estimate.
     turn : int
         Turns of the orders that are not among the best.
     heard : int
-        Samples that the evidence rests on.
-    smooth : dict of (p, q) to ndarray
-        As `thetas`, with a slow part of second order: of the order that it was tried with last.
-    grown : int
-        As `heard`, when the larger orders were last begun from smaller ones.
+        Samples so far.
+    grown, fitted : int
+        As `heard`, when the larger orders were last begun from smaller ones, and when orders were fitted last.
     """
 
     thetas: dict[Order, Array]
     scores: dict[Order, float]
+    smooth: dict[Order, Array]
     lines: dict[tuple[int, int], Line]
+    smooth_odds: float
+    chosen: tuple[Order, int]
     turn: int
     heard: int
-    smooth: dict[Order, Array]
     grown: int
+    fitted: int
 
 
 class Remembers(Protocol):

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.model_change import Change
-from navfilter.learning.consistency import ConsistencyRecord
 from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestMemory
@@ -29,13 +28,10 @@ class RerunRequest:
         In force from the start.
     adopted : int
         How many have been adopted by then.
-    given_up : bool
-        Whether these are the models as described, because constants speak against those that were learnt.
     """
 
     models: tuple[tuple[str, Any], ...]
     adopted: int
-    given_up: bool = False
 
 
 def relaid(fed_back: Array, M: Array, after: int) -> Array:
@@ -73,10 +69,6 @@ class LearningMemory:
         Models that are adopted one a reading: each costs about a millisecond.
     levels : dict of str to tuple of float
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
-    ask_s : float
-        Then the constants are asked next whether they speak against what was learnt [s]; infinite: no more.
-    told : ConsistencyRecord
-        What they were told in the stretches since the beginning was done last.
     refused : bool
         Whether what was learnt last predicts fixes worse than what is in force.
     """
@@ -94,8 +86,6 @@ class LearningMemory:
     quiet_s: float
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
-    ask_s: float
-    told: ConsistencyRecord
     refused: bool
 
     def revive(self, names: tuple[str, ...]) -> None:

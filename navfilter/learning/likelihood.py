@@ -134,7 +134,7 @@ class Likelihood:
         kernel.channel_values(self.y, rows, p, slow, *fixed, belief, first, E, V, values)
         return values
 
-    def lines(self, fast: Array, p: int, slow: int, log_tau: ArrayLike, log_sd: ArrayLike, first: int) -> Array:
+    def lines(self, fast: Array, p: int, slow: int, log_tau: ArrayLike, log_sd: ArrayLike, first: int = 0) -> Array:
         """Minus the log-likelihood of the samples from `first` on, given those before, for several slow parts beside
         one fast part: ln tau, and ln sd in the unit of the series, shape (k,).
         """

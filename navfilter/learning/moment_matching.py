@@ -15,9 +15,9 @@ __all__ = ["nearest", "slow_psd"]
 Array = NDArray[np.float64]
 
 #: Shares of the variance that the quicker process is tried with.
-QUICK_SHARES = np.linspace(0.05, 0.95, 19)
+QUICK_SHARES = np.linspace(0.05, 0.95, 10)
 #: So many correlation times are tried for it, by equal ratios.
-QUICK_TIMES = 24
+QUICK_TIMES = 12
 #: Frequencies that are compared, by equal ratios: from a tenth of the knee of the slowest process, where all are flat,
 #: to three times that of the quickest, from where on all fall as they go on.
 OCTAVES, BELOW, ABOVE = 17, 0.1, 3.0
@@ -46,12 +46,11 @@ def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
     slowest, quickest = float(tau.max()), float(tau.min())
     frequency = np.geomspace(BELOW / (2.0 * np.pi * slowest), ABOVE / (2.0 * np.pi * quickest), OCTAVES)
     truth = variance @ slow_psd(order, np.ones(tau.size), tau, frequency) / total
-    share, quick = (one.ravel() for one in np.meshgrid(QUICK_SHARES, np.geomspace(quickest, mean, QUICK_TIMES)))
     # what is quicker than the mean ln tau, and what is slower: exact where there are two
     half = np.log(tau) <= float(variance @ np.log(tau)) / total + 1e-9  # of one alone but for rounding
     size = float(variance[half].sum())
-    share = np.append(share, size / total)
-    quick = np.append(quick, float(variance[half] @ tau[half]) / size)
+    share, quick = (one.ravel() for one in np.meshgrid(QUICK_SHARES, np.geomspace(quickest, mean, QUICK_TIMES)))
+    share, quick = np.append(share, size / total), np.append(quick, float(variance[half] @ tau[half]) / size)
     slow = (mean - share * quick) / np.maximum(1.0 - share, 1e-300)
     share, quick, slow = (one[(slow <= slowest) & (slow > 0.0) & (share < 1.0)] for one in (share, quick, slow))
     quicker, slower, alone = (_by_order(times, frequency) for times in (quick, slow, np.array([mean])))
@@ -81,9 +80,9 @@ def _divergence(truth: Array, model: Array) -> Array:
 
 def slow_psd(order: Array, sd: Array, tau_s: Array, frequency_hz: Array) -> Array:
     """One-sided power spectral density of Gauss-Markov processes [unit^2/Hz], shape (nodes, frequencies)."""
-    beta = np.array([CORRELATION_CONSTANTS[1], CORRELATION_CONSTANTS[2]])[np.asarray(order, int) - 1] / tau_s
-    w2 = (2.0 * np.pi * np.asarray(frequency_hz)) ** 2
-    b, s2 = beta[:, None], np.square(sd)[:, None]
-    first = 4.0 * s2 * b / (b**2 + w2)
-    second = 8.0 * s2 * b**3 / (b**2 + w2) ** 2
-    return np.asarray(np.where(np.asarray(order)[:, None] == 2, second, first))
+    order, w2 = np.asarray(order, int), (2.0 * np.pi * np.asarray(frequency_hz)) ** 2
+    beta = np.array([CORRELATION_CONSTANTS[1], CORRELATION_CONSTANTS[2]])[order - 1] / tau_s
+    b, smooth = beta[:, None], order == 2
+    found = np.square(sd)[:, None] * 4.0 * b / (b**2 + w2)
+    found[smooth] *= 2.0 * b[smooth] ** 2 / (b[smooth] ** 2 + w2)
+    return np.asarray(found, dtype=np.float64)

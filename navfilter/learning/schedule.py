@@ -24,9 +24,7 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import open_loop_residual
 from navfilter.kernels.batch import STUCK_S
-from navfilter.learning import consistency
 from navfilter.learning.background import Worker
-from navfilter.learning.consistency import CONTRADICTED, ConsistencyRecord, departure, is_near
 from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest, relaid
 from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopSeries
@@ -63,26 +61,24 @@ class LearningSchedule:
     -----
     Models come at once for all sensors at the ages `EARLY_S`, later as each listener counts its ticks. What a model
     took for certain cannot be taken back from the covariance: where the power at zero frequency of a new model is
-    another one by more than `ANOTHER`, the beginning is done again as if the new models had been known, at those ages
-    and, for the last time, at `REVISED_S`; `beginning` holds its inputs. Elsewhere the filter goes on with the new
+    another one by more than `ANOTHER`, the beginning is done again as if the new models had been known; `beginning`
+    holds its inputs until the last of these ages. Elsewhere the filter goes on with the new
     models. The beginning is done again `AGAIN_AFTER` of the age later: until then another filter may have come that
     far. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
     done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
     minute at rest is little.
     """
 
-    #: Models are adopted at these ages [s]: as soon as readings say more than the prior, and whenever there are twice
-    #: as many.
-    EARLY_S = (30.0, 60.0, 120.0, 240.0, 500.0)
-    #: At this age the beginning is done again for the last time [s]: inputs are not kept for longer.
-    REVISED_S = 1000.0
+    #: Models are adopted at these ages [s]: as soon as readings say more than the prior, and whenever there are four
+    #: times as many.
+    EARLY_S = (30.0, 120.0, 500.0)
     #: ln S(0) that has changed by less is the same: the sd of the heading goes with its fourth root.
     ANOTHER = math.log(2.0)
 
     #: The beginning is done again so much later, of the age [1]: a machine must be 50 times as fast as the mission.
     AGAIN_AFTER = 0.02
-    #: Until then the constants of the vehicle are asked so often whether they speak against the learnt models [s].
-    ASKED_S = 5.0
+    #: Where fixes are less likely by so much, the models are wrong [nat]: twenty to one.
+    WORSE = 3.0
 
     def __init__(self, filter: FilterState, behind_s: float, worker: Worker | None = None) -> None:
         self.filter, self.behind_s, self.worker = filter, behind_s, worker or Worker(threads=False)
@@ -90,10 +86,10 @@ class LearningSchedule:
         vehicle, start_s = filter.vehicle, filter.time_s
         self._start_s, self._stage, self._hopping = start_s, 0, False
         self._gravity = vehicle.drive.gravity
-        self._quiet_s, self._ask_s = -math.inf, start_s + self.ASKED_S
+        self._quiet_s = -math.inf
         self._waiting: tuple[Change, ...] = ()
         self.again: RerunRequest | None = None
-        self._told, self._refused = ConsistencyRecord(), False
+        self._refused = False
         self._fed_back = np.zeros(2 * filter.layout.head + 2)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
@@ -101,8 +97,12 @@ class LearningSchedule:
             if any(learning_part(model) is not None for model in sensor.models):
                 self.record_residuals(name)
         self.beginning = InputBuffer(tuple(vehicle.sensors)) if self.listeners else None
-        #: Fixes that nothing is learnt of, of a vehicle with constants that are states.
-        self.fixes = consistency.told_by(filter) - set(self.listeners) if self.listeners else set()
+        #: Fixes that nothing is learnt of.
+        self.fixes = {
+            name
+            for name, sensor in vehicle.sensors.items()
+            if sensor.open_loop == open_loop_residual.POSITION and self.listeners and name not in self.listeners
+        }
         if self.listeners:
             self.worker.start()
         self._levels = self._present_levels()
@@ -116,7 +116,7 @@ class LearningSchedule:
         kept = (0, 0) if self.beginning is None else self.beginning.count
         return LearningMemory(
             *(self._fed_back, listeners, rest, self.beginning, kept, self._stage, self._hopping, self.again),
-            *(self._quiet_s, self._waiting, self._levels, self._ask_s, self._told, self._refused),
+            *(self._quiet_s, self._waiting, self._levels, self._refused),
         )
 
     @memory.setter
@@ -124,7 +124,7 @@ class LearningSchedule:
         self._fed_back, self.beginning = memory.fed_back, memory.beginning
         self._stage, self._hopping, self.again = memory.stage, memory.hopping, memory.again
         self._quiet_s, self._waiting, self._levels = memory.quiet_s, memory.waiting, memory.levels
-        self._ask_s, self._told, self._refused = memory.ask_s, memory.told, memory.refused
+        self._refused = memory.refused
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -252,23 +252,6 @@ class LearningSchedule:
         """Whether the next reading brings a model to adopt."""
         return bool(self._waiting)
 
-    def is_early(self, time_s: float) -> bool:
-        """Whether `early` is to be called before a reading of this time; what only asks in vain is done here."""
-        while self.beginning is not None and self.early_s <= time_s:
-            if self.again is not None or self._ask_s > self._hop_s or not self._asked_in_vain():
-                return True
-        return False
-
-    def _asked_in_vain(self) -> bool:
-        """Ask the constants whether they speak for the models, or whether something else comes first."""
-        before_s, self._ask_s = self._ask_s, self._ask_s + self.ASKED_S
-        self._told = consistency.stretched(self.filter, self._told, before_s)
-        agrees = self._told.disagreement < CONTRADICTED and is_near(self.filter)
-        if self._given_up_s > self._hop_s or agrees:  # what is due then comes first
-            return True
-        self._ask_s = before_s
-        return False
-
     @property
     def feedback(self) -> Array:
         """What a kernel that listens goes on from, see `LearningMemory`; empty where nobody listens."""
@@ -313,37 +296,24 @@ class LearningSchedule:
         """
         if self.beginning is None:
             return math.inf
-        if self.again is None:
-            return min(self._hop_s, self._ask_s)
-        return self._given_up_s if self.again.given_up else self._hop_s + self.AGAIN_AFTER * self._age_s
+        return self._hop_s + self.AGAIN_AFTER * self._age_s * (self.again is not None)
 
     @property
     def _age_s(self) -> float:
         """Of the present early hop [s]."""
-        stage = self._stage
-        return self.EARLY_S[stage] if stage < len(self.EARLY_S) else self.REVISED_S
+        return self.EARLY_S[self._stage]
 
     @property
     def _hop_s(self) -> float:
         """When it begins, or its models are to be taken [s]."""
         return self._start_s + self._age_s + TAKEN_AFTER_S * self._hopping
 
-    @property
-    def _given_up_s(self) -> float:
-        """When what was found at the last question takes effect [s]."""
-        asked_s = self._ask_s - self.ASKED_S
-        return asked_s + TAKEN_AFTER_S + self.AGAIN_AFTER * (asked_s - self._start_s)
-
     def early(self) -> None:
         """At such a time: have models looked for, or have them adopted. Where another power makes it worth it, `again`
         says instead how the beginning is to be done again, at the next such time.
         """
-        if self._ask_s <= self._hop_s:
-            self._ask()
-            return
         ages = {name: self.early_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
         hops = [name for name, listener in self.listeners.items() if listener.learns]
-        hops = hops if self._stage < len(self.EARLY_S) else []
         if not self._hopping:
             self._hopping = True
             for name in hops:
@@ -377,46 +347,25 @@ class LearningSchedule:
         filter.channels[name].prepare(found.after, found.layout)
         filter.prepared = [*known, found]
 
-    def _ask(self) -> None:
-        """Where the constants speak against the models that were learnt, have the beginning done again as described."""
-        if self._asked_in_vain():
-            return
-        self._ask_s += self.ASKED_S
-        models = {name: listener.memory.models for name, listener in self.listeners.items()}
-        described = {name: listener.described for name, listener in self.listeners.items()}
-        if models != described and max(departure(self.filter), self._told.disagreement) >= CONTRADICTED:
-            in_force = self.filter.described_models({name: as_described(own) for name, own in described.items()})
-            self.again = RerunRequest(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
-
     @property
     def compares(self) -> bool:
         """Whether the beginning is not done again before it is known that this is better."""
-        return self.again is not None and (self.again.given_up or bool(self.fixes))
+        return self.again is not None and bool(self.fixes)
 
     def is_no_better(self, other: LearningSchedule) -> bool:
-        """Whether a run that has begun again is no better than this one, which goes on then. Models that were learnt
-        must not predict fixes worse: nothing of those is learnt, and they show what the rest makes of the position.
-
-        With the models as described the constants must speak less against it; else they are asked again a quarter of
-        the age later.
+        """Whether a run that has begun again is no better than this one, which goes on then: models that were learnt
+        must not predict fixes worse. Nothing of those is learnt, and they show what the rest makes of the position.
         """
-        assert self.again is not None
-        if not self.again.given_up:
-            if other._fed_back[-1] > self._fed_back[-1] - consistency.WORSE:  # ln of how likely fixes were
-                return False
-            self._quiet_s, self._refused = self.early_s, True
-            self._go_on()
-            return True
-        if consistency.is_better(other.filter, self.filter, self._told):
+        if other._fed_back[-1] > self._fed_back[-1] - self.WORSE:  # ln of how likely fixes were
             return False
-        self._ask_s += self.ASKED_S * math.floor(0.25 * (self._ask_s - self._start_s) / self.ASKED_S)
-        self.again = None
+        self._quiet_s, self._refused = self.early_s, True
+        self._go_on()
         return True
 
     def _go_on(self) -> None:
         """This early hop is over."""
         self._stage, self._hopping, self.again = self._stage + 1, False, None
-        if self._stage > len(self.EARLY_S):
+        if self._stage == len(self.EARLY_S):
             self.beginning = None
             for name, listener in self.listeners.items() if self._refused else ():
                 listener.give_up()
@@ -433,10 +382,10 @@ class LearningSchedule:
         learning = [listener for listener in self.listeners.values() if listener.learns]
         if name in self.listeners:
             self.listeners[name].forget_level()
-        if self.again is not None and not self.again.given_up:  # what was found for that is as good without it
+        if self.again is not None:  # what was found for that is as good without it
             self._waiting = tuple(Change(listener.name, listener.memory.models) for listener in learning)
         self._waiting = tuple(change for change in self._waiting if change.sensor != name)
-        self.beginning, self.again, self._stage, self._hopping = None, None, len(self.EARLY_S) + 1, False
+        self.beginning, self.again, self._stage, self._hopping = None, None, len(self.EARLY_S), False
         self._quiet_s = max(self._quiet_s, self._start_s + self.EARLY_S[0])
         for listener in learning:
             listener.take_early()
@@ -451,22 +400,14 @@ class LearningSchedule:
         """
         for listener in self.listeners.values():
             listener.begin_again()
-        self._fed_back, self._told, self._refused = (
-            np.zeros(2 * self.filter.layout.head + 2),
-            ConsistencyRecord(),
-            False,
-        )
+        self._fed_back, self._refused = np.zeros(2 * self.filter.layout.head + 2), False
         if self.rest is not None:
             self.rest.begin_again()
         names = tuple(self.filter.channels)
         inputs, self.beginning = self.beginning or InputBuffer(names), InputBuffer(names)
         self._quiet_s, self._waiting = until_s, ()
-        if self.again is not None and not self.again.given_up:
+        if self.again is not None:
             self._levels = self._present_levels()
-        elif self.again is not None:
-            self.beginning = None
-            for listener in self.listeners.values():
-                listener.give_up()
         self._go_on()
         return inputs
 

@@ -23,11 +23,6 @@ class OptimiserSettings:
         An order with no more coefficients than this goes on from its last estimate alone.
     below_passes : int
         Passes of a lower order that only serves as a start.
-    contradicted : float
-        Where earlier evidence makes a window less likely by so much (in log-likelihood), it is given up: the error has
-        changed, or an earlier fit was a poor one.
-    windows_remembered : float
-        Evidence for the slow part is forgotten over so many windows.
     smooth_passes, late_smooth_passes : int
         Passes of a fit with a slow part of second order, while the window fills and later.
     race_passes : int
@@ -59,8 +54,6 @@ class OptimiserSettings:
     late_passes: int = 3
     one_maximum: int = 5
     below_passes: int = 8
-    contradicted: float = 20.0
-    windows_remembered: float = 4.0
     smooth_passes: int = 5
     late_smooth_passes: int = 3
     race_passes: int = 2

@@ -1,15 +1,13 @@
 """The posterior of the slow part: prior times likelihood over its order, correlation time and standard deviation.
 
-For each order and node of ln tau the evidence is a smooth function of ln sd, known at a few places around its peak; it
-adds up from hop to hop. Sums over ln sd and ln tau give what a filter needs: the mean covariance of the slow part, and
-how sure the spectrum is.
+For each order and node of ln tau the evidence is a smooth function of ln sd, known at a few places around its peak.
+Sums over ln sd and ln tau give what a filter needs: the mean covariance of the slow part, and how sure the spectrum is.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -22,7 +20,7 @@ from navfilter.learning.moment_matching import nearest
 from navfilter.learning.slow_prior import SlowNode, SlowPrior
 from navfilter.models.error_models import GaussMarkov
 
-__all__ = ["Line", "SlowPosterior", "denied", "follow"]
+__all__ = ["Line", "SlowPosterior", "slow_posterior"]
 
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
@@ -43,8 +41,10 @@ STEEPEST, SHALLOWEST = 3.0, 3.0
 WIDTH = 0.4
 #: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
 FLATTEST = 0.5
-#: A line so far below the best is not followed until forgetting has brought it back.
-DEAD = 9.0
+#: How wide a line is in ln sd is thought to be before it is known.
+GUESSED = 0.3
+#: A line so far below the best is not possible [nat].
+IMPOSSIBLE = 9.0
 #: Steps between two nodes of ln tau.
 STEPS = 5
 
@@ -57,7 +57,7 @@ class Line(NamedTuple):
     log_sd, evidence : ndarray, shape (k,)
         Places (unit of the series) and the log-likelihood there, but for a constant common to all lines.
     peak, sd : float
-        Where the posterior had its peak, and how wide it was.
+        Where the posterior has its peak, and how wide it is.
     """
 
     log_sd: Array
@@ -77,6 +77,7 @@ class SlowPosterior:
     Attributes
     ----------
     lines : dict of (order, number of tau) to Line
+        Those that are possible.
     order, tau_s, log_sd, weight : ndarray, shape (n,)
         Nodes, their weights with the sum one.
     moments : ndarray, shape (m, 4)
@@ -101,13 +102,8 @@ class SlowPosterior:
         return nearest(self.moments)
 
 
-def follow(
-    likelihood: Likelihood,
-    theta: Array,
-    p: int,
-    known: Mapping[Place, Line],
-    first: int,
-    forgetting: float,
+def slow_posterior(
+    likelihood: Likelihood, theta: Array, p: int, known: Mapping[Place, Line] | None = None, same: bool = False
 ) -> SlowPosterior:
     """The posterior of the slow part, given the fast one.
 
@@ -119,52 +115,42 @@ def follow(
         Fast and slow parameters: where to look.
     p : int
         Number of AR coefficients.
-    known : dict of (order, number of tau) to Line
-        Evidence of earlier hops; empty at the first.
-    first : int
-        Samples from here on are new; the others have been counted in `known`.
-    forgetting : float
-        Share of the earlier evidence that still counts.
+    known : dict of (order, number of tau) to Line, optional
+        Those that were possible at an earlier hop: where to look rather.
+    same : bool
+        Whether that was beside the same fast part: others are not possible then.
     """
     prior = likelihood.prior
     assert prior is not None
     fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
-    taus = prior.taus_s
     lines: dict[Place, Line] = {}
-    masses = dict(zip(known, _masses(known, prior)[0].tolist(), strict=True)) if first > 0 and known else {}
     for order in (1, 2):
         searches: dict[Place, tuple[float, Search]] = {}
-        for number, tau in enumerate(taus.tolist()):
-            old = known.get((order, number))
-            if masses.get((order, number), 0.0) < -DEAD:
-                continue
-            # along the ridge of equal driving noise
-            guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.sd)
-            look = _Look(prior, order, tau, old, forgetting if first > 0 else 0.0)
-            searches[order, number] = look.log_tau, look.line(*guess)
+        for number, log_tau in enumerate(np.log(prior.taus_s).tolist()):
+            place, look = (order, number), _Look(prior, order, log_tau)
+            if known and place in known:
+                searches[place] = log_tau, look.again(known[place])
+            elif same:
+                lines[place] = Line(np.array(prior.centre[:1]), np.array([-1e300]), prior.centre[0], GUESSED)
+            else:  # along the ridge of equal driving noise
+                searches[place] = log_tau, look.line(here[0] + 0.5 * (log_tau - here[1]), GUESSED)
         if order == 1:
             # none at all: one too small to matter
-            old = known.get(ABSENT) if first > 0 else None
-            look = _Look(prior, 1, prior.tau_s, old, forgetting if old is not None else 0.0)
+            look = _Look(prior, 1, math.log(prior.tau_s))
             searches[ABSENT] = look.log_tau, look.smallest()
-        lines |= _together(likelihood, fast, p, order, searches, first)
-    # those not followed stay as far behind as they were, but for what is forgotten
-    rest = {place: line for place, line in known.items() if place not in lines}
-    if rest:
-        highest = float(_masses({at: line for at, line in lines.items() if at != ABSENT}, prior)[0].max())
-        lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
+        lines |= _together(likelihood, fast, p, order, searches)
     return _weighed(lines, prior)
 
 
 def _together(
-    likelihood: Likelihood, fast: Array, p: int, order: int, searches: Mapping[Place, tuple[float, Search]], first: int
+    likelihood: Likelihood, fast: Array, p: int, order: int, searches: Mapping[Place, tuple[float, Search]]
 ) -> dict[Place, Line]:
     """What searches of one order find, each along its ln tau: what they want to know next is measured side by side."""
     asked = {place: next(search) for place, (_, search) in searches.items()}
     found: dict[Place, Line] = {}
     while asked:
         log_tau = [searches[place][0] for place, log_sd in asked.items() for _ in log_sd]
-        values = likelihood.lines(fast, p, order, log_tau, [u for log_sd in asked.values() for u in log_sd], first)
+        values = likelihood.lines(fast, p, order, log_tau, [u for log_sd in asked.values() for u in log_sd])
         answers = iter(values.tolist())
         for place, log_sd in list(asked.items()):
             try:
@@ -179,14 +165,17 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     lines = {place: lines[place] for place in sorted(lines)}
     tops, shares, begins = _masses(lines, prior)
     highest = float(tops.max())
-    lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
     order, number = np.array(list(lines)).T
     there, sizes, log_sd = order > 0, np.diff(begins), np.concatenate([line.log_sd for line in lines.values()])
     level = np.exp(np.maximum(tops - highest, -700.0))
     level /= level.sum()
     means = np.add.reduceat(shares * np.exp(2.0 * log_sd), begins[:-1])[there]
     return SlowPosterior(
-        lines,
+        {
+            place: line
+            for (place, line), top in zip(lines.items(), tops.tolist(), strict=True)
+            if top > highest - IMPOSSIBLE
+        },
         order=np.repeat(np.maximum(order, 1.0), sizes),
         tau_s=np.repeat(prior.taus_s[number], sizes),
         log_sd=log_sd,
@@ -245,60 +234,17 @@ def _fine(nodes: int) -> tuple[Array, Array]:
     return straight + bent @ bends, straight
 
 
-def _between_places(line: Line) -> Callable[[float], float]:
-    """Evidence of a line between its places: the chord, and a parabola on it that bends by the harmonic mean of what
-    the evidence bends by at both its ends; beyond the ends of the line a parabola that never rises.
-
-    A Gaussian comes out as it is. Where a line falls off steeply on one side, a cubic through four places would swing
-    above them by many times what the evidence says (Amat et al., Found. Comput. Math. 6, 2006).
-    """
-    x, y = line.log_sd.tolist(), line.evidence.tolist()
-    last = len(x) - 1
-    if last < 3:
-        return lambda log_sd: y[min(range(len(x)), key=lambda i: abs(x[i] - log_sd))]
-    slopes = [(y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(last)]
-    bends = [(slopes[i] - slopes[i - 1]) / (x[i + 1] - x[i - 1]) for i in range(1, last)]
-
-    def beyond(away: float, end: int) -> float:
-        bend = bends[end]
-        slope = slopes[end] - bend * (x[-2] - x[-1] if end else x[1] - x[0])
-        return y[end] + away * (max(slope, 0.0) if away < 0.0 else min(slope, 0.0)) + min(bend, 0.0) * away**2
-
-    def evidence(log_sd: float) -> float:
-        if log_sd < x[0] or log_sd > x[-1]:
-            end = 0 if log_sd < x[0] else -1
-            return beyond(log_sd - x[end], end)
-        at = min(max(bisect_right(x, log_sd) - 1, 0), last - 1)
-        two = bends[max(at - 1, 0) : at + 1]
-        bend = len(two) / sum(1.0 / one for one in two) if min(two) * max(two) > 0.0 else 0.0
-        return y[at] + (log_sd - x[at]) * (slopes[at] + (log_sd - x[at + 1]) * bend)
-
-    return evidence
-
-
-def denied(known: Mapping[Place, Line], prior: SlowPrior, node: SlowNode) -> float:
-    """How much less likely than the best slow part this one is, by the evidence of earlier hops (in log-likelihood);
-    0 where there is none of its order and time.
-    """
-    line = known.get((node.order, int(np.argmin(np.abs(prior.taus_s - node.tau_s)))))
-    if line is None:
-        return 0.0
-    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line)(math.log(node.sd))
-
-
 class _Look:
     """Looks for the peak of one line, and measures the evidence around it.
 
     Where minus the log-likelihood is wanted, the methods yield the places, and are sent it.
     """
 
-    def __init__(self, prior: SlowPrior, order: int, tau_s: float, known: Line | None, forgetting: float) -> None:
-        self.known, self.forgetting = known if forgetting else None, forgetting
-        self.before = None if self.known is None else _between_places(self.known)
+    def __init__(self, prior: SlowPrior, order: int, log_tau: float) -> None:
         self.evidence: dict[float, float] = {}
         self.low, self.high = (math.log(limit) for limit in prior.sd_limits)
         self.centre, self.spread = prior.centre[0], prior.spread
-        self.log_tau = math.log(tau_s)
+        self.log_tau = log_tau
         self.most = prior.log_density(order, self.centre, self.log_tau)
 
     def along(self, places: list[float]) -> Generator[list[float], list[float], list[float]]:
@@ -308,7 +254,7 @@ class _Look:
         if new:
             values = yield new
             for key, value in zip(new, values, strict=True):
-                self.evidence[key] = (self.forgetting * self.before(key) if self.before else 0.0) - value
+                self.evidence[key] = -value
         return [self.evidence[key] for key in keys]
 
     def log_prior(self, place: float) -> float:
@@ -327,10 +273,6 @@ class _Look:
 
     def line(self, guess: float, sd: float) -> Search:
         """The line around its peak, which is looked for from a guess of place and width."""
-        if self.known is not None:
-            same = yield from self._same_places(self.known)
-            if same is not None:
-                return same
         u, step = min(max(guess, self.low), self.high), SPACING * sd
         value = below = above = 0.0
         for _ in range(16):
@@ -359,19 +301,14 @@ class _Look:
         evidence = yield from self.along(places)
         return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
 
-    def _same_places(self, line: Line) -> Generator[list[float], list[float], Line | None]:
-        """The line at its old places, where nothing has to be interpolated; None where these do no longer do."""
+    def again(self, line: Line) -> Search:
+        """The line at the places of another one; looked for from its peak where these do not do."""
         places = line.log_sd.tolist()
-        values = yield places
-        evidence = [
-            self.forgetting * old - new if new < math.inf else -1e300
-            for old, new in zip(line.evidence.tolist(), values, strict=True)
-        ]
-        self.evidence.update(zip([round(place, 6) for place in places], evidence, strict=True))
-        log = [one + self.log_prior(place) for one, place in zip(evidence, places, strict=True)]
+        log = yield from self.at(*places)
         top = log.index(max(log))
         # the sum over places stands for the integral while the curve bends by less than this from one to the next
         near = 0 < top < len(log) - 1 and log[top] - min(log[top - 1], log[top + 1]) < STEEPEST
         if not (near and log[top] - max(log[0], log[-1]) > SHALLOWEST):
-            return None
-        return line._replace(evidence=np.array(evidence))
+            return (yield from self.line(line.peak, line.sd))
+        evidence = yield from self.along(places)
+        return line._replace(evidence=np.maximum(evidence, -1e300))

@@ -317,7 +317,7 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
     # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2.
     lean = max(0.05, excess, float(force[:, :2].std(axis=0).max()) / 3.0)
     blocks = [model.block(drive.period_s) for model in drive.models[3:5]]
-    bias = max(math.sqrt(b.C @ b.P0 @ b.C) for b in blocks)
+    bias = max(math.sqrt(b.state_variance) for b in blocks)
     return roll, pitch, math.hypot(lean, TILT_AGAIN * bias) / STANDARD_GRAVITY
 
 

@@ -35,8 +35,10 @@ __all__ = [
     "Sum",
     "White",
     "block_level",
+    "checked_number",
     "joined_block",
     "per_axis",
+    "sum_of",
 ]
 
 Array = NDArray[np.float64]
@@ -77,6 +79,16 @@ class Block(Value):
         """Number of states n (0 for white noise)."""
         return len(self.C)
 
+    @property
+    def state_variance(self) -> float:
+        """Of the error without its white part, at the start."""
+        return float(self.C @ self.P0 @ self.C)
+
+    @property
+    def variance(self) -> float:
+        """Of a single reading at the start."""
+        return self.state_variance + self.r
+
 
 def block_level(block: Block) -> float:
     """S(0) per sample of a stationary block."""
@@ -86,8 +98,7 @@ def block_level(block: Block) -> float:
 
 def stated_variance(model: ErrorModel) -> float:
     """Of a single reading where a description begins, at one in a second: what it believes of it beforehand."""
-    block = model.block(1.0)
-    return block.r + float(block.C @ block.P0 @ block.C)
+    return model.block(1.0).variance
 
 
 class Integrated(NamedTuple):
@@ -109,11 +120,16 @@ class Integrated(NamedTuple):
 
 
 def _as_walk(block: Block) -> Integrated:
-    return Integrated(block.r, float(block.C @ block.Q @ block.C), float(block.C @ block.P0 @ block.C))
+    return Integrated(block.r, float(block.C @ block.Q @ block.C), block.state_variance)
 
 
 class ErrorModel(FrozenDescription):
     """Base of all error models; a model is a frozen value and models add with ``+``."""
+
+    @property
+    def terms(self) -> tuple[ErrorModel, ...]:
+        """The errors it is the sum of: itself, if it is no sum."""
+        return (self,)
 
     def block(self, period_s: float) -> Block:
         """Discretise at the sensor's period.
@@ -166,14 +182,16 @@ class ErrorModel(FrozenDescription):
     def __add__(self, other: ErrorModel) -> Sum:
         if not isinstance(other, ErrorModel):
             return NotImplemented
-        return Sum((*_parts(self), *_parts(other)))
+        return Sum((*self.terms, *other.terms))
 
 
-def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
-    return model.parts if isinstance(model, Sum) else (model,)
+def sum_of(parts: Sequence[ErrorModel]) -> ErrorModel:
+    """The sum of error models, or the one there is."""
+    return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
 
 
-def _check(name: str, value: float | None, *, zero_ok: bool = True) -> None:
+def checked_number(name: str, value: float | None, *, zero_ok: bool = True) -> None:
+    """Raises ValueError where a setting of a description is no finite number, or negative, or zero and may not be."""
     if not (value is not None and math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
         bound = ">= 0" if zero_ok else "> 0"
         raise ValueError(f"{name} must be a finite number {bound}, found {value!r}.")
@@ -210,7 +228,7 @@ class White(ErrorModel):
             raise ValueError(
                 f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}."
             )
-        _check("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)
+        checked_number("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)
 
     def block(self, period_s: float) -> Block:
         """Discretise: no state, only a white variance."""
@@ -242,9 +260,9 @@ class RandomWalk(ErrorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check("RandomWalk.density", self.density)
+        checked_number("RandomWalk.density", self.density)
         if self.start_sd is not None:
-            _check("RandomWalk.start_sd", self.start_sd)
+            checked_number("RandomWalk.start_sd", self.start_sd)
 
     def block(self, period_s: float) -> Block:
         """Discretise: exact for any period."""
@@ -284,8 +302,8 @@ class GaussMarkov(ErrorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check("GaussMarkov.sd", self.sd)
-        _check("GaussMarkov.tau_s", self.tau_s, zero_ok=False)
+        checked_number("GaussMarkov.sd", self.sd)
+        checked_number("GaussMarkov.tau_s", self.tau_s, zero_ok=False)
         if self.order not in CORRELATION_CONSTANTS:
             raise ValueError(
                 f"GaussMarkov.order must be 1, 2, 3 or 4, found {self.order!r}. For other orders use Arma."
@@ -348,7 +366,7 @@ class Arma(ErrorModel):
                 raise ValueError(f"Arma.{name} must be finite numbers in a sequence, as [-0.8], found {given!r}.")
             values = tuple(map(float, given))
             object.__setattr__(self, name, values)
-        _check("Arma.sd", self.sd)
+        checked_number("Arma.sd", self.sd)
         if not is_stable(np.array(self.ar)):
             radius = max(abs(np.roots([1.0, *self.ar])))
             raise ValueError(
@@ -373,6 +391,11 @@ class Sum(ErrorModel):
     """Sum of independent errors; made by ``a + b``."""
 
     parts: tuple[ErrorModel, ...]
+
+    @property
+    def terms(self) -> tuple[ErrorModel, ...]:
+        """Its parts."""
+        return self.parts
 
     def block(self, period_s: float) -> Block:
         """Discretise: the blocks of the parts side by side."""

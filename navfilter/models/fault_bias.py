@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, per_axis
+from navfilter.models.error_models import ErrorModel, RandomWalk, per_axis, sum_of
 
 __all__ = [
     "SCALE",
@@ -95,25 +95,20 @@ class FaultCurrent(FaultBias):
     component: int = 0
 
 
-def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
-    return model.parts if isinstance(model, Sum) else (model,)
-
-
 def _plain(model: ErrorModel) -> ErrorModel:
-    rest = [part for part in _parts(model) if not isinstance(part, FaultBias)]
-    return sum(rest[1:], start=rest[0])
+    return sum_of([part for part in model.terms if not isinstance(part, FaultBias)])
 
 
 def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
     """Whether the error models of a sensor, one for all axes or one per axis, have an `FaultBias`."""
     each = models if isinstance(models, tuple) else (models,)
-    return any(isinstance(part, FaultBias) for model in each for part in _parts(model))
+    return any(isinstance(part, FaultBias) for model in each for part in model.terms)
 
 
 def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
     """Whether a `FaultBias` among the error models of a sensor wanders: that of one that has jumped by about itself."""
     each = models if isinstance(models, tuple) else (models,)
-    return any(isinstance(part, FaultBias) and part.density > 0.0 for model in each for part in _parts(model))
+    return any(isinstance(part, FaultBias) and part.density > 0.0 for model in each for part in model.terms)
 
 
 def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> NDArray[np.int64]:
@@ -145,7 +140,7 @@ def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[i
     """The parts of all models: axis, first state, part."""
     at = 0
     for axis, model in enumerate(models):
-        for part in _parts(model):
+        for part in model.terms:
             yield axis, at, part
             at += part.block(period_s).size
 
@@ -200,5 +195,5 @@ def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ..
     """New error models with the offsets that the old ones have: who learns them knows nothing of offsets."""
     pairs = zip(new, old, strict=True)
     return tuple(
-        sum((part for part in _parts(was) if isinstance(part, FaultBias)), start=_plain(model)) for model, was in pairs
+        sum((part for part in was.terms if isinstance(part, FaultBias)), start=_plain(model)) for model, was in pairs
     )

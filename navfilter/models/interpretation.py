@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
@@ -315,10 +315,7 @@ def _error_of(parts: list[Component], model: ArmaModel) -> ErrorModel:
                 models.append(White(sd=_rounded(part.sd)))
             else:
                 models.append(GaussMarkov(sd=_rounded(part.sd), tau_s=_rounded(part.tau_s)))
-        error = models[0]
-        for extra in models[1:]:
-            error = error + extra
-        return error
+        return sum_of(models)
     return _arma(model)
 
 

@@ -17,10 +17,10 @@ from navfilter.models.error_models import (
     GaussMarkov,
     Integrated,
     RandomWalk,
-    Sum,
     White,
     block_level,
     joined_block,
+    sum_of,
 )
 from navfilter.models.spectrum import Spectrum
 from navfilter.models.window_limits import least_window
@@ -203,8 +203,8 @@ class LearnedArma(ErrorModel):
                 f"and of the correlation time, found {self.prior_within!r}. Example: (2, 3). What is known better "
                 "need not be learnt."
             )
-        parts = self.prior.parts if isinstance(self.prior, Sum) else (self.prior,)
-        if all(part is None or isinstance(part, White | RandomWalk) for part in parts):
+        parts = () if self.prior is None else self.prior.terms
+        if all(isinstance(part, White | RandomWalk) for part in parts):
             raise ValueError(
                 f"LearnedArma.prior_within says how far a slow error is believed, but the prior has none, found "
                 f"{self.prior!r}. Give it one: GaussMarkov(sd=..., tau_s=...), or leave prior_within out."
@@ -237,10 +237,10 @@ class LearnedArma(ErrorModel):
         if self.model is not None or self.prior is None:
             return block
         added, quick_s = 0.0, min(self.window * period_s, LONGEST_SPAN_S) / QUICKER
-        for part in self.prior.parts if isinstance(self.prior, Sum) else (self.prior,):
+        for part in self.prior.terms:
             one = part.block(period_s)
             if one.size and not isinstance(part, RandomWalk):
-                variance, power = float(one.C @ one.P0 @ one.C), 0.5 * (block_level(one) - one.r) * period_s
+                variance, power = one.state_variance, 0.5 * (block_level(one) - one.r) * period_s
                 added += variance if power >= quick_s * variance else 0.0
         return replace(block, r=block.r + added)
 
@@ -252,16 +252,14 @@ class LearnedArma(ErrorModel):
 
     def integrated(self, period_s: float) -> Integrated:
         """That of the prior while nothing has been learnt."""
-        return (
-            self.prior.integrated(period_s)
-            if self.model is None and self.prior is not None
-            else super().integrated(period_s)
-        )
+        if self.model is None and self.prior is not None:
+            return self.prior.integrated(period_s)
+        return super().integrated(period_s)
 
     @property
     def beside(self) -> tuple[ErrorModel, ...]:
         """What stands beside the fast part: the slow one's processes, and white noise."""
-        return self.slow.parts if isinstance(self.slow, Sum) else () if self.slow is None else (self.slow,)
+        return () if self.slow is None else self.slow.terms
 
     @property
     def slow_parts(self) -> tuple[GaussMarkov, ...]:
@@ -312,10 +310,8 @@ def as_described(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
     for model in models:
         part = learned_part(model)
         if part is not None and part.model is None and part.prior is not None:
-            prior = part.prior.parts if isinstance(part.prior, Sum) else (part.prior,)
-            known = tuple(one for one in (model.parts if isinstance(model, Sum) else ()) if one is not part)
-            parts = (*known, *prior)
-            model = Sum(parts) if len(parts) > 1 else parts[0]
+            known = [one for one in model.terms if one is not part]
+            model = sum_of([*known, *part.prior.terms])
         described.append(model)
     return tuple(described)
 
@@ -335,8 +331,7 @@ def learned_part(model: ErrorModel) -> LearnedArma | None:
     ValueError
         When there are two: only their sum can be observed.
     """
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    found = [part for part in parts if isinstance(part, LearnedArma)]
+    found = [part for part in model.terms if isinstance(part, LearnedArma)]
     if len(found) > 1:
         raise ValueError("an error model can hold one LearnedArma: of two only the sum can be observed.")
     return found[0] if found else None
@@ -350,9 +345,7 @@ def learning_part(model: ErrorModel) -> LearnedArma | None:
 
 def with_learned(model: ErrorModel, learned: LearnedArma) -> ErrorModel:
     """The same error model with another learnt part."""
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    new = tuple(learned if isinstance(part, LearnedArma) else part for part in parts)
-    return Sum(new) if len(new) > 1 else new[0]
+    return sum_of([learned if isinstance(part, LearnedArma) else part for part in model.terms])
 
 
 def resolve_prior(models: Sequence[ErrorModel], prior: ErrorModel) -> tuple[ErrorModel, ...]:
@@ -372,11 +365,9 @@ def known_white(model: ErrorModel, period_s: float) -> float:
     """
     if learned_part(model) is None:
         return 0.0
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    return sum(part.block(period_s).r for part in parts if isinstance(part, White))
+    return sum(part.block(period_s).r for part in model.terms if isinstance(part, White))
 
 
 def known_walk(model: ErrorModel) -> float:
     """Root PSD of the random walks in a model: the bias of the sensor, which stays beside whatever is learnt."""
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    return math.sqrt(sum(part.density**2 for part in parts if isinstance(part, RandomWalk)))
+    return math.sqrt(sum(part.density**2 for part in model.terms if isinstance(part, RandomWalk)))

@@ -26,16 +26,10 @@ Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
 
 TRUTH_COLUMNS = (
-    "latitude_rad",
-    "longitude_rad",
-    "height_m",
-    "v_north_m_s",
-    "v_east_m_s",
-    "v_down_m_s",
-    "roll_rad",
-    "pitch_rad",
-    "yaw_rad",
-)
+    "latitude_rad", "longitude_rad", "height_m",
+    "v_north_m_s", "v_east_m_s", "v_down_m_s",
+    "roll_rad", "pitch_rad", "yaw_rad",
+)  # fmt: skip
 NPZ_FORMAT = 1
 #: So many rows are looked at at a time.
 PIECE = 1 << 16
@@ -284,10 +278,8 @@ class Mission(Value):
     def hide(self, name: str, *intervals: tuple[float, float]) -> Mission:
         """Without the readings of one stream inside the closed intervals (t0_s, t1_s)."""
         stream = self.stream(name)
-        keep = np.ones(len(stream), dtype=bool)
-        for t0_s, t1_s in given.intervals(intervals, "hide"):
-            keep &= ~((stream.time_s >= t0_s) & (stream.time_s <= t1_s))
-        return self.with_stream(name, stream.keep(keep))
+        hidden = given.within(stream.time_s, given.intervals(intervals, "hide"))
+        return self.with_stream(name, stream.keep(~hidden))
 
     def with_stream(self, name: str, stream: Stream) -> Mission:
         """A copy in which one stream is added or replaced."""

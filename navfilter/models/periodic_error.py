@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from navfilter.models.error_models import Block, ErrorModel
+from navfilter.models.error_models import Block, ErrorModel, checked_number
 
 __all__ = ["Cycle"]
 
@@ -43,10 +43,8 @@ class Cycle(ErrorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, least in (("sd", "not negative"), ("period_s", "> 0"), ("tau_s", "> 0")):
-            value = getattr(self, name)
-            if not (value is not None and math.isfinite(value) and (value > 0.0 or (name == "sd" and value == 0.0))):
-                raise ValueError(f"Cycle.{name} must be a finite number {least}, found {value!r}.")
+        for name in ("sd", "period_s", "tau_s"):
+            checked_number(f"Cycle.{name}", getattr(self, name), zero_ok=name == "sd")
 
     def block(self, period_s: float) -> Block:
         """Discretise: exact for any period."""

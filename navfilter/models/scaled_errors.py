@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White, block_level
+from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White, block_level, sum_of
 from navfilter.models.learned_arma import LONGEST_SPAN_S, QUICKER, learned_part, with_learned
 from navfilter.timeseries.model import ArmaModel
 
@@ -54,7 +54,7 @@ def parts_of(model: ErrorModel, period_s: float) -> Parts:
     flat = _described(model)
     slow = [part for part in flat if _is_slow(part, period_s)]
     quick = len(slow) < len(flat)
-    variance = sum(_variance(part, period_s) for part in slow if not isinstance(part, RandomWalk))
+    variance = sum(part.block(period_s).state_variance for part in slow if not isinstance(part, RandomWalk))
     return Parts(quick, bool(slow), 0.0 if quick else math.sqrt(variance))
 
 
@@ -108,28 +108,19 @@ def _scaled(model: ErrorModel, period_s: float, quick: float, slow: float, white
         model, white = with_learned(model, replace(learned, prior=prior)), 0.0
     parts = [
         part if learned_part(part) is not None else larger(part, slow if _is_slow(part, period_s) else quick)
-        for part in _parts(model)
+        for part in model.terms
     ]
     parts += [White(sd=white)] if white > 0.0 else []
-    return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
-
-
-def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
-    return model.parts if isinstance(model, Sum) else (model,)
+    return sum_of(parts)
 
 
 def _described(model: ErrorModel) -> list[ErrorModel]:
     """All parts, a learnt one by its prior."""
     found: list[ErrorModel] = []
-    for part in _parts(model):
+    for part in model.terms:
         learned = learned_part(part)
-        found += _parts(learned.prior) if learned is not None and learned.prior is not None else [part]
+        found += learned.prior.terms if learned is not None and learned.prior is not None else [part]
     return found
-
-
-def _variance(part: ErrorModel, period_s: float) -> float:
-    block = part.block(period_s)
-    return float(block.C @ block.P0 @ block.C) if block.size else 0.0
 
 
 def _is_slow(part: ErrorModel, period_s: float) -> bool:
@@ -138,4 +129,4 @@ def _is_slow(part: ErrorModel, period_s: float) -> bool:
         return True
     block = part.block(period_s)
     power = 0.5 * (block_level(block) - block.r) * period_s if block.size else 0.0
-    return power >= SLOW_S * _variance(part, period_s) > 0.0
+    return power >= SLOW_S * block.state_variance > 0.0

@@ -231,17 +231,10 @@ class NavState(Value):
         first order.
         """
         meridian, prime = strapdown.radii(other.latitude)
-        return np.concatenate(
-            [
-                [
-                    (self.latitude - other.latitude) * (meridian + other.height),
-                    wrap(self.longitude - other.longitude) * (prime + other.height) * math.cos(other.latitude),
-                    other.height - self.height,
-                ],
-                self.velocity_n - other.velocity_n,
-                rotation_vector(self.C_nb @ other.C_nb.T),
-            ]
-        )
+        north = (self.latitude - other.latitude) * (meridian + other.height)
+        east = wrap(self.longitude - other.longitude) * (prime + other.height) * math.cos(other.latitude)
+        position, turned = [north, east, other.height - self.height], rotation_vector(self.C_nb @ other.C_nb.T)
+        return np.concatenate([position, self.velocity_n - other.velocity_n, turned])
 
     def pack(self) -> Array:
         """The state as the kernels hold it, shape (17,)."""
@@ -254,12 +247,6 @@ class NavState(Value):
     @classmethod
     def unpack(cls, time_s: float, nav: Array, covariance: Array | None = None) -> NavState:
         """The inverse of `pack`; copies."""
-        return cls(
-            time_s,
-            float(nav[0]),
-            float(nav[1]),
-            float(nav[2]),
-            nav[3:6].copy(),
-            nav[6:15].reshape(3, 3).copy(),
-            covariance,
-        )
+        latitude, longitude, height = nav[:3].tolist()
+        C_nb = nav[6:15].reshape(3, 3).copy()
+        return cls(time_s, latitude, longitude, height, nav[3:6].copy(), C_nb, covariance)

@@ -6,6 +6,7 @@ sharing nothing with the measurement models of the filter, which are tested agai
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -112,6 +113,13 @@ class Truth:
         return np.stack(
             [self.wandering.get("current_north", still), self.wandering.get("current_east", still), still], axis=-1
         )
+
+    def declination(self, given: float | None) -> float:
+        """Of a compass that is told a declination, or has that of the field [rad]."""
+        if given is not None:
+            return given
+        north, east, _ = self.field_n()
+        return math.atan2(east, north)
 
     def turned_and_scaled(self, vector: Array) -> Array:
         """Vectors (n, 3) as a sensor with this misalignment and scale (or scales) measures them, without noise."""

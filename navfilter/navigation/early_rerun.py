@@ -215,7 +215,6 @@ def _begin_again(nav: Run, again: RerunRequest, until_s: float, now_s: float) ->
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
     nav.filter.counts["adopted"] = again.adopted
-    nav.filter.counts["given-up"] = int(again.given_up)
     inputs = nav.learning.begin_again(until_s)
     history = nav.history
     if history is None:

@@ -270,14 +270,13 @@ class MeasurementFastPath:
         changed by that.
         """
         nav, history, learning = self._nav, self._history, self._nav.learning
-        before_s = learning.early_s
-        if learning.is_early(time_s):
+        if learning.early_s <= time_s:
             nav.early_rerun.before(time_s)
             same = nav.filter.memory is self._memory and learning.beginning is self._kept and not learning.is_waiting
             if not (same and learning.learning_s == self._facts[batch.LEARNT_S]):
                 nav.change_count += 1
                 return True
-        elif not busy and learning.early_s == before_s:  # one after the other
+        elif not busy:  # one after the other
             history.ready(self._memory.time_s)
         self._due_s = min(bias_drift.due_s(self._filter), learning.early_s, history.due_s)
         return False

@@ -24,7 +24,6 @@ from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.imu_intake import ImuIntakeMemory
 from navfilter.filter.model_change import Change
 from navfilter.foundation.state_values import misfit
-from navfilter.learning.consistency import ConsistencyRecord
 from navfilter.learning.input_buffer import InputBuffer, Rows
 from navfilter.learning.learner_memory import LearnerMemory
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest
@@ -109,7 +108,6 @@ MEMORY = (
         InputBuffer,
         Rows,
         RerunRequest,
-        ConsistencyRecord,
         Change,
         OpenLoopMemory,
         Hop,

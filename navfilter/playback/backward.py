@@ -45,17 +45,9 @@ _COLUMNS: dict[str, _Change] = {
     **dict.fromkeys(("heading_rad", "yaw_rad", "course_rad"), _turned),
 }
 #: Constants that a calibration found, by the end of their names: those that change their sign.
-_CONSTANTS: tuple[str, ...] = (
-    "lever_arm_x",
-    "time_offset",
-    "bias",
-    "temperature",
-    "one_cycle_sin",
-    "two_cycle_cos",
-    "current_north",
-)
-_CONSTANTS += ("misalignment_y", "misalignment_z", "hard_iron_x", "soft_iron_xy", "soft_iron_xz", "_east")
-_CONSTANTS += tuple(f"misalignment_{axes}" for axes in ("xy", "xz", "yx", "zx"))
+_CONSTANTS: tuple[str, ...] = ("lever_arm_x", "time_offset", "bias", "temperature", "one_cycle_sin", "two_cycle_cos")
+_CONSTANTS += ("current_north", "hard_iron_x", "soft_iron_xy", "soft_iron_xz", "_east")
+_CONSTANTS += tuple(f"misalignment_{axes}" for axes in ("y", "z", "xy", "xz", "yx", "zx"))
 #: Sensors whose geometry has no mirror here.
 _WITHOUT = ("Usbl",)
 

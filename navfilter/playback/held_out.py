@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.special import erfc, gammaincc
 
 from navfilter.filter.records import OUTCOMES
+from navfilter.foundation.arguments import within
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.sensors import Sensor
 from navfilter.models.state import matrix_from_euler
@@ -143,9 +143,7 @@ def withhold(
             f'"{sensor}" cannot be withheld: it is no correcting sensor of this vehicle (these are: {have}).'
         )
     stream = mission.stream(sensor)
-    inside = np.zeros(len(stream), bool)
-    for begin_s, end_s in intervals:
-        inside |= (stream.time_s >= begin_s) & (stream.time_s <= end_s)
+    inside = within(stream.time_s, intervals)
     if not inside.any():
         span = f"they lie from {stream.time_s[0]:.1f} to {stream.time_s[-1]:.1f} s" if len(stream) else "there are none"
         said = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in intervals)
@@ -175,7 +173,8 @@ def score(track: Track, withheld: Withheld) -> Score | None:
     there = track.at(fixes.time_s)
     lever = matrix_from_euler(*there.attitude.T) @ np.asarray(getattr(sensor, "lever_arm_b_m", (0.0, 0.0, 0.0)))
     error = there.errors(Stream(fixes.time_s, truth, TRUTH_COLUMNS)).position_n[:, :2] + lever[:, :2]
-    S = there.covariance[:, :2, :2] + np.diag([_variance(model, 1.0 / sensor.rate_hz) for model in sensor.models[:2]])
+    blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models[:2]]
+    S = there.covariance[:, :2, :2] + np.diag([block.variance for block in blocks])
     squared = np.einsum("ni,ni->n", error, np.linalg.solve(S, error[:, :, None])[:, :, 0])
     distance = np.hypot(error[:, 0], error[:, 1])
     travelled = np.interp(fixes.time_s[[0, -1]], track.time_s, track.travelled())
@@ -260,9 +259,3 @@ def _fixes(sensor: Sensor, readings: Stream, track: Track) -> NDArray[np.bool_]:
     good = np.array([sensor.read(value) is not None for value in readings.value], dtype=bool)
     good &= (readings.time_s >= track.time_s[0]) & (readings.time_s <= track.time_s[-1])
     return good & np.isfinite(readings.value[:, :2]).all(axis=1)
-
-
-def _variance(model: ErrorModel, period_s: float) -> float:
-    """Variance of all of an error at the start."""
-    block = model.block(period_s)
-    return float(block.r + block.C @ block.P0 @ block.C)

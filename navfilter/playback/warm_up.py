@@ -155,8 +155,6 @@ def _compile_prompt() -> None:
         batch.propagate_sample.compile(addresses.SAMPLE)
         noise_scale.update_scale.compile(addresses.SCATTERED)
         open_loop_residual.judge_level.compile(addresses.LEVEL)
-        open_loop_residual.is_within.compile(addresses.WITHIN)
-        open_loop_residual.information_since.compile(addresses.TOLD_SINCE)
         batch.readmission.compile(addresses.READMISSION)
 
 

@@ -193,11 +193,8 @@ def table_html(header: Sequence[str], rows: Iterable[Sequence[str]], text_column
 
     def line(cells: Sequence[str], tag: str) -> str:
         marks = [' class="text"' if i in text_columns else "" for i in range(len(cells))]
-        return (
-            "<tr>"
-            + "".join(f"<{tag}{mark}>{escape(cell)}</{tag}>" for mark, cell in zip(marks, cells, strict=True))
-            + "</tr>"
-        )
+        marked = zip(marks, cells, strict=True)
+        return f"<tr>{''.join(f'<{tag}{mark}>{escape(cell)}</{tag}>' for mark, cell in marked)}</tr>"
 
     body = "".join(line(row, "td") for row in rows)
     return f'<div class="wide"><table><thead>{line(header, "th")}</thead><tbody>{body}</tbody></table></div>'

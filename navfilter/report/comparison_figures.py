@@ -5,6 +5,7 @@ learnt.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +15,6 @@ from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
 from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
-from navfilter.report.figures import predicted_rms
 from navfilter.timeseries.diagnostics import acf
 from navfilter.track.track import Track
 
@@ -47,7 +47,7 @@ def position_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
     found: list[tuple[str, tuple[Part, ...]]] = []
     for number, (label, track) in enumerate(tracks.items()):
         hue, _ = colour(number)
-        predicted = predicted_rms(track)
+        predicted = track.horizontal_sd()
         error = track.errors(truth).horizontal
         parts = (
             Band(track.time_s, np.zeros(len(track)), predicted, f"{label}: up to the predicted rms", hue, 0.3),
@@ -94,15 +94,8 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
             if known.size <= LAGS or np.ptp(known) == 0.0:
                 continue
             hue, dash = colour(number)
-            ax.plot(
-                range(1, LAGS + 1),
-                acf(series, LAGS)[1:],
-                color=hue,
-                linestyle=dash,
-                marker="o",
-                markersize=2.2,
-                label=no_formula(label),
-            )
+            how: dict[str, Any] = {"color": hue, "linestyle": dash, "marker": "o", "markersize": 2.2}
+            ax.plot(range(1, LAGS + 1), acf(series, LAGS)[1:], label=no_formula(label), **how)
             count = max(count, known.size)
         limit = 1.96 / np.sqrt(max(count, 1))
         ax.axhspan(-limit, limit, color="#bbbbbb", alpha=0.5, linewidth=0, label="95 % of white noise", zorder=0)

@@ -35,7 +35,6 @@ __all__ = [
     "innovation_figure",
     "nis_figure",
     "position_figure",
-    "predicted_rms",
     "separation_figure",
 ]
 
@@ -69,11 +68,6 @@ def filters(tracks: Tracks) -> dict[str, Track]:
     for label, track in tracks.items():
         first.setdefault(id(track.forward or track), (label, track))
     return dict(first.values())
-
-
-def predicted_rms(track: Track) -> Array:
-    """Predicted rms of the horizontal position error [m], shape (n,)."""
-    return np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
 
 
 def depth_figure(tracks: Tracks, mission: Mission) -> Stack:
@@ -140,7 +134,7 @@ def position_figure(tracks: Tracks, truth: Stream | None) -> Stack:
         far[far < max(50.0, 0.02 * far[-1])] = np.nan
         if truth is not None:
             parts[3].append(Line(t, 100 * np.hypot(error[:, 0], error[:, 1]) / far, label, hue, dash))
-        predicted = 100 * predicted_rms(track) / far
+        predicted = 100 * track.horizontal_sd() / far
         parts[3].append(Line(t, predicted, f"{label}, predicted rms", hue, (0, (1, 1.2)), 0.9))
     names = ("north [m]", "east [m]", "down [m]")
     panels = [Panel(name, tuple(parts[i]), shape="symmetric", lines_at=(0.0,)) for i, name in enumerate(names)]
@@ -162,18 +156,11 @@ def separation_figure(forward: Track, smoothed: Track) -> Stack:
     rows, scale = [0, 1, 2, 8], np.array([1.0, 1.0, 1.0, 180.0 / np.pi])
     variance = np.diagonal(forward.covariance - smoothed.covariance, axis1=1, axis2=2)[:, rows]
     sd, (hue, dash) = scale * np.sqrt(np.maximum(variance, 0.0)), colour(0)
-    panels = [
-        Panel(
-            name,
-            (
-                Band(forward.time_s, -sd[:, i], sd[:, i], "±1σ", hue),
-                Line(forward.time_s, values[:, i], "forward - smoothed", hue, dash),
-            ),
-            shape="symmetric",
-            lines_at=(0.0,),
-        )
-        for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]"))
-    ]
+    panels = []
+    for i, name in enumerate(("north [m]", "east [m]", "down [m]", "heading [deg]")):
+        band = Band(forward.time_s, -sd[:, i], sd[:, i], "±1σ", hue)
+        line = Line(forward.time_s, values[:, i], "forward - smoothed", hue, dash)
+        panels.append(Panel(name, (band, line), shape="symmetric", lines_at=(0.0,)))
     return Stack(tuple(panels))
 
 
@@ -246,11 +233,8 @@ def innovation_figure(track: Track, name: str) -> Stack:
     for i in measured:
         unit, factor = shown_unit(sensor.units[i]) if i < sensor.axes else ("", 1.0)
         seen = residuals.used & np.isfinite(residuals.sd[:, i])
-        t, value, bound = (
-            residuals.time_s[seen],
-            factor * residuals.value[seen, i],
-            3 * factor * residuals.sd[seen, i],
-        )
+        t, value = residuals.time_s[seen], factor * residuals.value[seen, i]
+        bound = 3 * factor * residuals.sd[seen, i]
         limit = 1.25 * max(_quantile(bound, 0.98), _quantile(np.abs(value), 0.998), 1e-12)
         parts: list[Part] = [
             Points(t, value, "used", USED) if len(t) <= 1500 else Line(t, value, "used", USED, width=0.5)

@@ -20,8 +20,7 @@ from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour, draw, style, svg
 from navfilter.rendering.page import Scripts, Section, escape, figure_html, resource
 from navfilter.rendering.panels import Line, Panel, Stack
-from navfilter.report.figures import predicted_rms
-from navfilter.report.live import Live, item_of, live_stack, plain, toolbox
+from navfilter.report.live import Live, item_of, live_stack, plain, plain_look, toolbox
 from navfilter.report.live_plan import COLOURINGS, live_plan
 from navfilter.report.plan_view import Plan, draw_plan
 from navfilter.report.state_figures import drive_residuals, shown_states
@@ -148,7 +147,7 @@ def _rows(clock: Clock, track: Track, origin: Track) -> tuple[dict[str, list[flo
         "depth": ("depth [m]", -track.height[rows], 2),
         "heading": ("heading [deg]", np.degrees(track.attitude[rows, 2]) % 360.0, 2),
         "speed": ("speed [m/s]", np.hypot(*speeds[:, :2].T), 3),
-        "rms": ("predicted rms of the position [m]", predicted_rms(track)[rows], 4),
+        "rms": ("predicted rms of the position [m]", track.horizontal_sd()[rows], 4),
         "travelled": ("distance travelled [m]", track.travelled()[rows], 2),
         "roll": ("roll [deg]", np.degrees(track.attitude[rows, 0]), 3),
         "pitch": ("pitch [deg]", np.degrees(track.attitude[rows, 1]), 3),
@@ -209,7 +208,5 @@ def any_item() -> dict[str, Any]:
     hue = colour(0)[0]
     plot.line("x", "y", source=source, line_color=hue, line_alpha=0.35, name="any")
     plot.scatter("x", "y", source=source, size=4, color=hue, fill_alpha=0.6, line_color=None, name="any")
-    plot.axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = "#e3e3e3"
-    plot.outline_line_color = None
+    plain_look(plot)
     return item_of(plot)

@@ -116,12 +116,8 @@ def live_stack(stack: Stack, clock: Clock) -> Live:
         keys += [_key(part) for part in legend_of(stack, row)]
         plots.append(plot)
     keys += [Key(m.label, m.hue, "band" if m.end_s > m.begin_s else "line") for m in stack.marks]
-    grid = gridplot(
-        [[plot] for plot in plots],
-        sizing_mode="stretch_width",
-        toolbar_location="above",
-        toolbar_options={"logo": None},
-    )
+    how: dict[str, Any] = {"sizing_mode": "stretch_width", "toolbar_location": "above"}
+    grid = gridplot([[plot] for plot in plots], toolbar_options={"logo": None}, **how)
     return Live(item_of(grid), list(dict.fromkeys(keys)), sum(heights) + 40)
 
 
@@ -155,10 +151,15 @@ def _plot(stack: Stack, panel: Panel, x_range: Any, height: int) -> Any:
     )
     if panel.limits is None and not stack.x_label:
         plot.window_axis = "x"
-    plot.outline_line_color = None
-    plot.axis.axis_label_text_font_style = "normal"
     plot.yaxis.axis_label_text_font_size = "12px"
+    return plain_look(plot)
+
+
+def plain_look(plot: Any) -> Any:
+    """A plot without a frame, with upright labels and a grid that does not stand out."""
+    plot.axis.axis_label_text_font_style = "normal"
     plot.grid.grid_line_color = "#e3e3e3"
+    plot.outline_line_color = None
     return plot
 
 

@@ -26,7 +26,7 @@ from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import short
 from navfilter.report.figures import TRUTH
-from navfilter.report.live import Key, Live, item_of, plain, toolbox
+from navfilter.report.live import Key, Live, item_of, plain, plain_look, toolbox
 from navfilter.report.plan_view import CHART_ALPHA, Plan, PlanRun
 
 __all__ = ["COLOURINGS", "live_plan"]
@@ -102,18 +102,10 @@ def _plot(plan: Plan) -> Any:
     how = {"ticker": BasicTicker(desired_num_ticks=4), "formatter": BasicTickFormatter(use_scientific=False)}
     plot.add_layout(LinearAxis(x_range_name="deg", axis_label="longitude [deg]", **how), "above")
     plot.add_layout(LinearAxis(y_range_name="deg", axis_label="latitude [deg]", **how), "right")
-    plot.axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = "#e3e3e3"
-    plot.outline_line_color = None
-    plot.add_layout(
-        ScaleBar(
-            range=plot.x_range,
-            unit="m",
-            dimensional=Metric(base_unit="m", exclude=["dm", "dam", "hm"]),
-            location="bottom_left",
-            bar_length=0.2,
-        )
-    )
+    plain_look(plot)
+    metric = Metric(base_unit="m", exclude=["dm", "dam", "hm"])
+    bar = ScaleBar(range=plot.x_range, unit="m", dimensional=metric, location="bottom_left", bar_length=0.2)
+    plot.add_layout(bar)
     return plot
 
 
@@ -122,13 +114,8 @@ def _chart(plot: Any, plan: Plan) -> None:
     assert plan.chart is not None
     west, east, south, north = plan.chart_edges()
     url = f"data:image/png;base64,{base64.b64encode(plan.chart.png).decode()}"
-    plot.image_url(
-        *([url], [west], [south], [east - west], [north - south]),
-        anchor="bottom_left",
-        alpha=CHART_ALPHA,
-        level="image",
-        name="chart",
-    )
+    where = [url], [west], [south], [east - west], [north - south]
+    plot.image_url(*where, anchor="bottom_left", alpha=CHART_ALPHA, level="image", name="chart")
 
 
 def _path(plot: Any, run: PlanRun, hue: str, shape: str) -> None:

@@ -24,7 +24,7 @@ from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
 from navfilter.rendering.panels import short
 from navfilter.report.chart import Chart, chart_of
-from navfilter.report.figures import TRUTH, capped, predicted_rms
+from navfilter.report.figures import TRUTH, capped
 from navfilter.track.track import Track
 
 __all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view"]
@@ -156,7 +156,7 @@ def _run(label: str, track: Track, origin: tuple[float, float], ellipses: int) -
     rows = np.unique(np.linspace(0, len(track) - 1, ellipses).astype(int))
     shapes = tuple(_ellipse(east[k], north[k], track.covariance[k, :2, :2]) for k in rows)
     thin = slice(None, None, max(1, len(track) // POINTS))
-    return PlanRun(label, track.time_s[thin], east[thin], north[thin], predicted_rms(track)[thin], shapes)
+    return PlanRun(label, track.time_s[thin], east[thin], north[thin], track.horizontal_sd()[thin], shapes)
 
 
 def _ellipse(east: float, north: float, P: Array) -> Shape:

@@ -222,16 +222,8 @@ def _verdict(verdict: Verdict) -> Section:
 
 
 def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
-    header = [
-        "surfacing",
-        "at [s]",
-        "without [s]",
-        "travelled [m]",
-        "error [m]",
-        "[% of it]",
-        "predicted sd [m]",
-        "95 %",
-    ]
+    header = ["surfacing", "at [s]", "without [s]", "travelled [m]"]
+    header += ["error [m]", "[% of it]", "predicted sd [m]", "95 %"]
     rows = [
         [
             s.sensor,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.models.error_models import ErrorModel, Sum
+from navfilter.models.error_models import ErrorModel
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.vehicle import Vehicle
 from navfilter.rendering.drawing import colour
@@ -70,10 +70,9 @@ def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
 
 def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str) -> list[ShownState]:
     """The first state of each part of one axis's model."""
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    sizes = [part.block(period_s).size for part in parts]
+    sizes = [part.block(period_s).size for part in model.terms]
     found, offset = [], 0
-    for part, size in zip(parts, sizes, strict=True):
+    for part, size in zip(model.terms, sizes, strict=True):
         if size:
             kind = f" ({type(part).__name__})" if sum(map(bool, sizes)) > 1 else ""
             found.append(ShownState(owner, f"{axis}[{offset}]", f"{axis}{kind}", *shown_unit(unit)))
@@ -126,15 +125,8 @@ def steps_figure(track: Track, owner: str) -> tuple[Stack, str]:
     for axis, step, sd, unit in drive_residuals(track)[owner]:
         value, (hue, dash) = step / sd, colour(0)
         level = Level(-2.0, 2.0, "95 %")
-        panels.append(
-            Panel(
-                f"{owner} {axis}\n[sd]",
-                (Line(track.time_s, value, "residual", hue, dash),),
-                None,
-                "symmetric",
-                level=level,
-            )
-        )
+        line = Line(track.time_s, value, "residual", hue, dash)
+        panels.append(Panel(f"{owner} {axis}\n[sd]", (line,), None, "symmetric", level=level))
         if np.isfinite(value).any():
             at = int(np.nanargmax(np.abs(value)))
             largest.append(

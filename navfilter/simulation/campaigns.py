@@ -122,8 +122,8 @@ def stage(
     Examples
     --------
     >>> staged = stage("compass-gm2/transit", duration_s=600.0)
-    >>> staged.name, staged.study.coloured, staged.truth
-    ('compass-gm2/transit/tactical', True, {'compass': GaussMarkov(sd=0.008726646259971648, tau_s=10.0, order=2)})
+    >>> staged.name, staged.study.kind, staged.truth
+    ('compass-gm2/transit/tactical', 'smooth', {'compass': GaussMarkov(sd=0.008726646259971648, tau_s=10.0, order=2)})
     """
     key, *more = name.split("/")
     if key not in STUDIES:

@@ -186,14 +186,6 @@ def draw_errors(models: Models | Changing, period_s: float, time_s: Array, axes:
     return errors
 
 
-def within(time_s: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
-    """Which times lie in one of the closed intervals."""
-    inside = np.zeros(time_s.shape, dtype=bool)
-    for begin, end in intervals:
-        inside |= (time_s >= begin) & (time_s <= end)
-    return inside
-
-
 def outliers(faults: Faults, n: int, axes: int, seed: int, stream: str) -> Array:
     """Further errors (n, axes) of the readings that are outliers, zero for the others."""
     if faults.outlier_probability == 0.0:

@@ -5,11 +5,10 @@ say, wrong descriptions, short missions; and a slow error of DVL, fixes and dept
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.vehicle import Vehicle
-from navfilter.simulation.studies import Study, always, believing, compass, swing
+from navfilter.simulation.studies import Study, always, believing, compass, swing, with_sensor
 
 __all__ = ["HARD"]
 
@@ -40,9 +39,7 @@ def _short(minutes: int) -> Study:
 
 def _deviating(vehicle: Vehicle) -> Vehicle:
     """The vehicle whose compass has one-cycle and two-cycle deviations of 0.7 and 0.3 deg."""
-    sensors = dict(vehicle.sensors)
-    sensors["compass"] = replace(sensors["compass"], deviation_sd_rad=(0.7 * _DEG, 0.3 * _DEG))  # type: ignore[call-arg]
-    return Vehicle(vehicle.drive, sensors, vehicle.name)
+    return with_sensor(vehicle, "compass", deviation_sd_rad=(0.7 * _DEG, 0.3 * _DEG))
 
 
 #: A Gauss-Markov process not far from what is believed, where something else is the trouble.

@@ -104,11 +104,6 @@ def tcm2_compass(rate_hz: float = 8.0, *, calibrated: bool = True) -> Heading:
     )
 
 
-def tcm2_tilt() -> ErrorModel:
-    """Error of the TCM2's roll or pitch, rad: +-0.2 deg of Table 2.1, read as a standard deviation over 5 s."""
-    return GaussMarkov(sd=0.2 * _DEG, tau_s=5.0)
-
-
 def rdi_dvl(rate_hz: float = 4.0, *, long_range: bool = False) -> BodyVelocity:
     """Doppler velocity log RDI Navigator of Table 2.1.
 

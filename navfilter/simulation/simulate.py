@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from navfilter.foundation.arguments import within
 from navfilter.models.error_models import White
 from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.models.mechanisation.imu import CROSSED
@@ -27,7 +28,7 @@ from navfilter.models.sensors.traits import kinds_below, shown_unit
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, Truth, attitude
 from navfilter.models.vehicle import Vehicle
-from navfilter.simulation.faults import Faults, Models, draw_error, draw_errors, generator, outliers, quantise, within
+from navfilter.simulation.faults import Faults, Models, draw_error, draw_errors, generator, outliers, quantise
 from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
 from navfilter.simulation.motion import Motion
 

@@ -77,11 +77,6 @@ class Study:
     really: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
     misled: bool = False
 
-    @property
-    def coloured(self) -> bool:
-        """Whether neither white nor first-order Gauss-Markov noise is the truth."""
-        return self.kind not in ("white", "gm1")
-
 
 # --- the errors -----------------------------------------------------------------------------------------------------
 
@@ -91,15 +86,16 @@ def always(error: Models) -> Callable[[Vehicle, float], Models]:
     return lambda vehicle, duration_s: error
 
 
+def with_sensor(vehicle: Vehicle, name: str, **described: Any) -> Vehicle:
+    """The vehicle with one of its sensors described otherwise."""
+    sensors = {**vehicle.sensors, name: replace(vehicle.sensors[name], **described)}
+    return Vehicle(vehicle.drive, sensors, vehicle.name)
+
+
 def rated(sensor: str, rate_hz: float) -> Callable[[Vehicle], Vehicle]:
     """The vehicle with another rate of one sensor."""
 
-    def equip(vehicle: Vehicle) -> Vehicle:
-        sensors = dict(vehicle.sensors)
-        sensors[sensor] = replace(sensors[sensor], rate_hz=rate_hz)
-        return Vehicle(vehicle.drive, sensors, vehicle.name)
-
-    return equip
+    return lambda vehicle: with_sensor(vehicle, sensor, rate_hz=rate_hz)
 
 
 def believing(**errors: Models) -> Callable[[Vehicle], Vehicle]:
@@ -185,7 +181,7 @@ def _thesis_gyro(vehicle: Vehicle, duration_s: float) -> tuple[ErrorModel, ...]:
     for model in imu.models[:3]:
         block = model.block(imu.period_s)
         at_zero = (1.0 + sum(ma)) / (1.0 + sum(ar))
-        walk = next(part for part in getattr(model, "parts", (model,)) if isinstance(part, RandomWalk))
+        walk = next(part for part in model.terms if isinstance(part, RandomWalk))
         # the same density at low frequencies as the white noise that the operator believes in
         errors.append(walk + Arma(ar=ar, ma=ma, sd=math.sqrt(block.r) / at_zero))
     return tuple(errors)
@@ -199,9 +195,7 @@ def _waves(vehicle: Vehicle, duration_s: float) -> tuple[ErrorModel, ...]:
 
 def _calibrating(vehicle: Vehicle) -> Vehicle:
     """The vehicle whose DVL has a scale error and a misalignment as states, 0.5 % and 0.3 deg."""
-    sensors = dict(vehicle.sensors)
-    sensors["dvl"] = replace(sensors["dvl"], scale_sd=0.005, misalignment_sd_rad=0.3 * _DEG)  # type: ignore[call-arg]
-    return Vehicle(vehicle.drive, sensors, vehicle.name)
+    return with_sensor(vehicle, "dvl", scale_sd=0.005, misalignment_sd_rad=0.3 * _DEG)
 
 
 def _changes(before: ErrorModel, after: ErrorModel) -> Callable[[Vehicle, float], Changing]:

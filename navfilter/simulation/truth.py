@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from navfilter.models.error_models import ErrorModel, Sum, White, per_axis
+from navfilter.models.error_models import ErrorModel, White, per_axis
 from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.scenarios import SCENARIOS
@@ -56,5 +56,4 @@ def _rounded(model: ErrorModel, fault: Faults) -> ErrorModel:
     step = fault.quantisation if isinstance(fault.quantisation, float | int) else max(fault.quantisation)
     if not step:
         return model
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    return Sum((*parts, White(sd=step / math.sqrt(12.0))))
+    return model + White(sd=step / math.sqrt(12.0))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.records import Residuals
 from navfilter.foundation import utc
-from navfilter.foundation.arguments import intervals, needs, rows_of
+from navfilter.foundation.arguments import intervals, needs, rows_of, within
 from navfilter.foundation.display import Value, often, span
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import block_level
@@ -27,22 +27,15 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Track", "TrackErrors"]
+__all__ = ["ERRORS", "Track", "TrackErrors"]
 
 Array = NDArray[np.float64]
 _TRUTH = "That of a mission is mission.truth."
 #: Fields with one row per time.
-_BY_ROW = (
-    "time_s",
-    "latitude",
-    "longitude",
-    "height",
-    "velocity_n",
-    "attitude",
-    "covariance",
-    "states",
-    "states_sd",
-)
+_BY_ROW = ("time_s", "latitude", "longitude", "height", "velocity_n", "attitude", "covariance", "states", "states_sd")
+#: Figures that `Track.summary` gives where there is a truth.
+_POSITION = ("position_rms_m", "position_max_m", "position_end_m", "position_end_pct")
+ERRORS = (*_POSITION, "heading_rms_deg", "velocity_rms_m_s")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -345,6 +338,10 @@ class Track(Value):
         rows["learnt"] = ", ".join(self.adopted()) or None
         return f"Track, {self.label}", rows
 
+    def horizontal_sd(self) -> Array:
+        """Predicted rms of the horizontal position error [m], shape (n,)."""
+        return np.sqrt(np.maximum(self.covariance[:, 0, 0] + self.covariance[:, 1, 1], 0.0))
+
     def attitude_sd(self) -> Array:
         """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation
         vector in n.
@@ -400,22 +397,12 @@ class Track(Value):
         windows : tuple of (float, float)
             Times [s] to be scored; default all.
         """
-        keys = (
-            "position_rms_m",
-            "position_max_m",
-            "position_end_m",
-            "position_end_pct",
-            "heading_rms_deg",
-            "velocity_rms_m_s",
-        )
         needs("summary: truth", truth, Stream, type(None), hint=_TRUTH)
         windows = intervals(windows, "summary: windows")
-        result: dict[str, Any] = dict.fromkeys((*keys, "nees_position", "nees_heading"))
+        result: dict[str, Any] = dict.fromkeys((*ERRORS, "nees_position", "nees_heading"))
         if truth is not None and len(truth):
             errors = self.errors(truth)
-            scored = np.ones(len(self), bool)
-            if windows:
-                scored = np.any([(self.time_s >= a) & (self.time_s <= b) for a, b in windows], axis=0)
+            scored = within(self.time_s, windows) if windows else np.ones(len(self), bool)
             horizontal = errors.horizontal[scored]
             valid = horizontal[np.isfinite(horizontal)]
             nees = self.nees(errors)
@@ -425,10 +412,7 @@ class Track(Value):
                 result["position_end_pct"] = float(100.0 * valid[-1] / self.distance_m) if self.distance_m > 0 else None
             result["heading_rms_deg"] = _rms(np.degrees(errors.heading[scored]))
             result["velocity_rms_m_s"] = _rms(np.linalg.norm(errors.velocity_n[scored], axis=1))
-            result["nees_position"], result["nees_heading"] = (
-                _mean(nees["position"][scored]),
-                _mean(nees["heading"][scored]),
-            )
+            result |= {f"nees_{of}": _mean(nees[of][scored]) for of in ("position", "heading")}
         r = self.residuals
         result["nis"] = {name: _mean(v.nis[v.used] / np.maximum(v.dof[v.used], 1)) for name, v in r.items()}
         for outcome in ("used", "rejected", "invalid"):

@@ -113,22 +113,12 @@ def program() -> str:
     """Version, and a digest of the source that runs depend on: runs of a changed program must not be mixed with older
     ones.
     """
-    root = Path(__file__).parents[1]
-    aside = {
-        "commands",
-        "report",
-        "check",
-        "io",
-        "identification",
-        "montecarlo",
-        "cli.py",
-        "__main__.py",
-        "__init__.py",
-    }
+    root = Path(__file__).parents[2]
+    aside = {"commands", "report", "rendering", "check", "io", "identification", "service"}
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)
-        if place.parts[0] not in aside or place.name in ("scores.py", "slots.py"):
+        if place.parts[0] not in aside:
             digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return f"{version('navfilter')} {digest.hexdigest()[:12]}"
 
@@ -306,13 +296,6 @@ def collect(campaign: Campaign, seeds: Sequence[int], models: Sequence[str], sto
         key: np.array([[record[key] for record in row] for row in records])
         for key in ("scores", "slots", "curves", "cpu_s")
     }
-    return Results(
-        campaign,
-        tuple(models),
-        np.array(seeds),
-        np.swapaxes(stacked["scores"], 1, 2),
-        np.swapaxes(stacked["slots"], 1, 2),
-        np.swapaxes(stacked["curves"], 1, 2),
-        curve_times(float(campaign.duration_s or 0.0)),
-        stacked["cpu_s"],
-    )
+    scores, slots, curves = (np.swapaxes(stacked[key], 1, 2) for key in ("scores", "slots", "curves"))
+    time_s = curve_times(float(campaign.duration_s or 0.0))
+    return Results(campaign, tuple(models), np.array(seeds), scores, slots, curves, time_s, stacked["cpu_s"])

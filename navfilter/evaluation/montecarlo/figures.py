@@ -105,14 +105,8 @@ def end_error_figure(results: Results) -> Figure:
                 values = values[np.isfinite(values)]
                 share = np.arange(values.size + 1) / max(values.size, 1)
                 tone, dashes = colour(m)
-                ax.plot(
-                    np.concatenate([[0.0], values]),
-                    share,
-                    drawstyle="steps-post",
-                    color=tone,
-                    linestyle=dashes,
-                    label=model,
-                )
+                steps = np.concatenate([[0.0], values])
+                ax.plot(steps, share, drawstyle="steps-post", color=tone, linestyle=dashes, label=model)
             ax.set_title(track)
             ax.set_xlabel("position error at the end of the dive [m]")
             ax.set_xlim(left=0.0)
@@ -167,12 +161,8 @@ def _largest(values: Array) -> float:
 
 
 def _mark_score(ax: Axes, results: Results, clock: Clock) -> None:
-    ax.axvline(
-        float(clock(np.array(float(results.campaign.score_from_s or 0.0)))),
-        color="#444444",
-        linewidth=0.8,
-        linestyle=":",
-    )
+    begin = float(clock(np.array(float(results.campaign.score_from_s or 0.0))))
+    ax.axvline(begin, color="#444444", linewidth=0.8, linestyle=":")
 
 
 def _clock(results: Results) -> Clock:

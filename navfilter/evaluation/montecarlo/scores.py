@@ -26,16 +26,8 @@ SCORES = (
     "nis_sensor", "nis_all", "white", "ljung_box", "rejected_pct", "adopted", "adoptions",
 )  # fmt: skip
 #: Over time: errors [m, deg], their predicted standard deviations, NEES per degree of freedom.
-CURVES = (
-    "north_m",
-    "north_sd_m",
-    "east_m",
-    "east_sd_m",
-    "heading_deg",
-    "heading_sd_deg",
-    "nees_position",
-    "nees_heading",
-)
+CURVES: tuple[str, ...] = ("north_m", "north_sd_m", "east_m", "east_sd_m")
+CURVES += ("heading_deg", "heading_sd_deg", "nees_position", "nees_heading")
 
 
 def curve_times(duration_s: float) -> Array:

@@ -206,14 +206,8 @@ def write_tables(results: Results, folder: Path) -> list[str]:
     write_whole(folder / "slots.csv", _csv([field.name for field in fields(SlotRow)], content["slots"]))
     write_whole(folder / "results.json", (json.dumps(content, indent=1) + "\n").encode())
     write_whole(folder / "runs.npz", _npz(results))
-    return [
-        "table.txt",
-        "results.csv",
-        "slots.csv",
-        "results.json",
-        "runs.npz",
-        *_parquet(results, folder / "runs.parquet"),
-    ]
+    written = ["table.txt", "results.csv", "slots.csv", "results.json", "runs.npz"]
+    return [*written, *_parquet(results, folder / "runs.parquet")]
 
 
 def _dict(row: Row | SlotRow | Bar) -> dict[str, Any]:

@@ -29,17 +29,8 @@ __all__ = ["records"]
 Array = npt.NDArray[np.float64]
 
 #: Units as these logs write them -> as a mission.toml does.
-_UNITS = {
-    "degheading": "deg",
-    "deglatitude": "deg",
-    "deglongitude": "deg",
-    "m/s/s": "m/s^2",
-    "µs": "us",
-    "mGauss": "mgauss",
-    "Gauss": "gauss",
-    "mG": "mg",
-    "degC": "degC",
-}
+_UNITS = dict.fromkeys(("degheading", "deglatitude", "deglongitude"), "deg")
+_UNITS |= {"m/s/s": "m/s^2", "µs": "us", "mGauss": "mgauss", "Gauss": "gauss", "mG": "mg", "degC": "degC"}
 #: Messages whose position change is the reading of a velocity log, with their fields: interval, its unit [s], changes.
 _DELTAS: dict[str, tuple[str, float, tuple[str, str, str]]] = {
     "VISO": ("dt", 1.0, ("PosDX", "PosDY", "PosDZ")),

@@ -25,14 +25,7 @@ _CORRECTING = (
     ("gps", ("position",)),
     ("course", ("ground-velocity",)),
 )
-_ATTITUDES = (
-    "attitude|magnetic-attitude",
-    "heading",
-    "magnetic",
-    "heading-of-log",
-    "magnetic-of-log",
-    "course",
-)
+_ATTITUDES = ("attitude|magnetic-attitude", "heading", "magnetic", "heading-of-log", "magnetic-of-log", "course")
 _VELOCITIES = ("velocity", "odometry", "water", "speed")
 #: What fixes say of heading and speed means nothing below this speed [kn].
 _FROM_FIXES, _SLOWEST_KN = ("course", "speed"), 1.0

@@ -71,24 +71,8 @@ _VELOCITIES = (
 )
 #: Units that mean nothing else behind a name: "time_ms", "depth_mm".
 _ENDINGS = (
-    "ms",
-    "us",
-    "ns",
-    "s",
-    "sec",
-    "m",
-    "mm",
-    "cm",
-    "ft",
-    "deg",
-    "rad",
-    "kn",
-    "hpa",
-    "kpa",
-    "mbar",
-    "dbar",
-    "bar",
-)
+    "ms", "us", "ns", "s", "sec", "m", "mm", "cm", "ft", "deg", "rad", "kn", "hpa", "kpa", "mbar", "dbar", "bar",
+)  # fmt: skip
 #: Units by their names in lower case.
 _UNITS = {name.lower(): known for name, known in [*ALIASES.items(), *zip(UNITS, UNITS, strict=True)]}
 _UNIT_CELLS = {*_UNITS, "", "-", "utc", "gmt"}

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import lzma
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from navfilter.io.logs.progress import byte_bar
-from navfilter.io.trust import Allowance
+from navfilter.io.trust import BROKEN, OPENERS, Allowance
 from navfilter.models.mission import MissionError
 
 __all__ = ["first_bytes", "lines"]
 
-_OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
-_BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
 #: Read at a time; a longer "line" than the second is no line of text.
 _BLOCK, _LONGEST = 1 << 18, 1 << 16
 
@@ -34,7 +27,7 @@ def lines(path: Path, tally: Counter[str], allowance: Allowance) -> Iterator[byt
         When a compressed file has more than it may unpack to.
     """
     with path.open("rb") as raw, byte_bar(path, path.stat().st_size) as bar:
-        opener = _OPENERS.get(path.suffix.lower())
+        opener = OPENERS.get(path.suffix.lower())
         file = raw if opener is None else opener(raw, "rb")
         rest, told = b"", 0
         try:
@@ -52,7 +45,7 @@ def lines(path: Path, tally: Counter[str], allowance: Allowance) -> Iterator[byt
                 at = raw.tell()
                 bar.update(at - told)
                 told = at
-        except _BROKEN:
+        except BROKEN:
             tally["place where the file is damaged or cut short, nothing read behind it"] += 1
         if rest:
             yield rest.rstrip(b"\r\n")
@@ -69,9 +62,9 @@ def first_bytes(path: Path, most: int = 1 << 16) -> bytes:
     """The first bytes, unpacked; of a broken file as many as it has."""
     found = b""
     try:
-        with _OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
+        with OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
             while len(found) < most and (piece := file.read(4096)):
                 found += piece
-    except _BROKEN:
+    except BROKEN:
         pass
     return found

@@ -30,11 +30,8 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
             continue
         if wanted(name):
             text = parts[3].decode("utf-8", "replace") if len(parts) > 3 else ""
-            yield (
-                name,
-                time_s,
-                {"source": parts[2].decode("utf-8", "replace") if len(parts) > 2 else "", **_fields(text)},
-            )
+            source = parts[2].decode("utf-8", "replace") if len(parts) > 2 else ""
+            yield name, time_s, {"source": source, **_fields(text)}
 
 
 def _fields(text: str) -> dict[str, float | str | None]:

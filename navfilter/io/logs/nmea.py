@@ -24,7 +24,7 @@ from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamErr
 
 from navfilter.io.logs.lines import lines
 from navfilter.io.logs.logger_stamps import LoggerClock
-from navfilter.io.logs.sentence_times import Carrier
+from navfilter.io.logs.sentence_times import Carrier, number_of, time_of_day
 from navfilter.io.logs.topic_names import INSTRUMENT, OF_DAY, Wanted
 from navfilter.io.trust import Allowance
 
@@ -139,7 +139,7 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
     if short_name(topic) == "GNS" and not _MEASURED & set(str(record.get("posMode"))):
         record |= {"lat": None, "lon": None}
     if topic == "PTNLGGK":
-        record["height"] = _number(str(record.get("height")).removeprefix("EHT"))
+        record["height"] = number_of(str(record.get("height")).removeprefix("EHT"))
     return record
 
 
@@ -162,18 +162,11 @@ def _own_record(topic: str, cells: list[str]) -> dict[str, Any]:
     record: dict[str, Any] = {}
     for k, cell in enumerate(cells):
         tag, _, value = cell.rpartition("=")
-        record[tag.lower() or (names[k] if k < len(names) else f"field_{k + 1:02d}")] = _number(value)
+        record[tag.lower() or (names[k] if k < len(names) else f"field_{k + 1:02d}")] = number_of(value)
     if topic.startswith("DVPD") and record.get("dt_us"):
         for axis in "xyz":
             record[f"velocity_{axis}"] = (record.get(axis) or 0.0) / (1e-6 * record["dt_us"])
     return record
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _transducers(cells: list[str]) -> dict[str, Any]:
@@ -184,8 +177,8 @@ def _transducers(cells: list[str]) -> dict[str, Any]:
     k = 0
     while k + 3 < len(cells):
         kind, value, unit, name = cells[k : k + 4]
-        if len(kind) == 1 and len(unit) <= 1 and (not value or _number(value) is not None) and len(name) != 1:
-            record[(name or f"{kind}{1 + k // 4:02d}").replace(".", "_")] = _number(value)
+        if len(kind) == 1 and len(unit) <= 1 and (not value or number_of(value) is not None) and len(name) != 1:
+            record[(name or f"{kind}{1 + k // 4:02d}").replace(".", "_")] = number_of(value)
             k += 4
         else:
             k += 1
@@ -199,21 +192,11 @@ def _time_of_day(fields: list[bytes]) -> float | None:
     place = _TIMES.get(fields[0] if fields[0].startswith(b"P") else fields[0][2:])
     if place is None:
         if fields[0] == b"PTNL" and len(fields) > 2 and fields[1] in (b"GGK", b"VGK", b"VHD"):
-            return _hhmmss(fields[2])
+            return time_of_day(fields[2])
         if fields[0] in (b"PNORBT6", b"PNORBT7", b"PNORBT8", b"PNORBT9") and len(fields) > 1:
-            return _number(fields[1].rpartition(b"=")[2].decode("ascii", "replace"))
+            return number_of(fields[1].rpartition(b"=")[2].decode("ascii", "replace"))
         return None
-    return _hhmmss(fields[place]) if len(fields) > place else None
-
-
-def _hhmmss(text: bytes) -> float | None:
-    if len(text) < 6 or not text[:6].isdigit():
-        return None
-    try:
-        seconds = float(text[4:])
-    except ValueError:
-        return None
-    return 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + seconds
+    return time_of_day(fields[place]) if len(fields) > place else None
 
 
 def _has_fix(fields: list[bytes]) -> bool | None:

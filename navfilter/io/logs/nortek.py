@@ -28,14 +28,8 @@ _BURST, _AVERAGE, _BOTTOM_TRACK = 0x15, 0x16, 0x17
 _EPOCH = datetime.datetime(1970, 1, 1)
 #: Behind which bits of the configuration what follows, per beam: format, name, factor.
 _PER_BEAM = ((5, "i", "velocity", 0.0), (8, "i", "distance", 1e-3), (9, "H", "fom", 1.0))
-_UNITS = {
-    "heading": "deg",
-    "pitch": "deg",
-    "roll": "deg",
-    "pressure": "dbar",
-    "temperature": "degC",
-    "velocity": "m/s",
-} | {"distance": "m"}
+_UNITS = dict.fromkeys(("heading", "pitch", "roll"), "deg")
+_UNITS |= {"pressure": "dbar", "temperature": "degC", "velocity": "m/s", "distance": "m"}
 _BAD_MM_S = -32768
 _BAD_FOM = 65535
 

@@ -43,21 +43,12 @@ _ANGLES = (15, 20, 30, 0)
 _PRESSURE_SENSOR = 0x20
 #: Of a binary angle of 32 bit [deg].
 _BINARY_ANGLE = 180.0 / 2**31
-_UNITS = (
-    {"velocity": "m/s", "range": "m", "heading": "deg", "pitch": "deg", "roll": "deg", "pressure": "Pa"}
-    | {
-        "temperature": "degC",
-        "transducer_depth": "m",
-        "latitude": "deg",
-        "longitude": "deg",
-        "beam_tilt": "deg",
-        "course": "deg",
-        "speed": "m/s",
-        "altitude": "m",
-        "geoid": "m",
-    }
-    | dict.fromkeys(("forward", "right", "down"), "m/s")
-)
+_UNITS = {
+    **dict.fromkeys(("velocity", "forward", "right", "down", "speed"), "m/s"),
+    **dict.fromkeys(("range", "transducer_depth", "altitude", "geoid"), "m"),
+    **dict.fromkeys(("heading", "pitch", "roll", "latitude", "longitude", "beam_tilt", "course"), "deg"),
+    **{"pressure": "Pa", "temperature": "degC"},
+}
 
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:

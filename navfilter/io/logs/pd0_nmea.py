@@ -6,11 +6,11 @@ identifier 0x2022, and the ASCII blocks 0x2100 to 0x2103).
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from navfilter.io.logs.sentence_times import number_of, time_of_day
 from navfilter.io.logs.slocum import degrees_of
 
 __all__ = ["Sentence", "sentences"]
@@ -66,7 +66,7 @@ def sentences(blocks: Iterator[tuple[int, bytes]]) -> Iterator[Sentence]:
 def _binary(kind: int, before_s: float, body: bytes) -> Sentence | None:
     """A sentence in WinRiver's own form: its name, then its fields as numbers."""
     if kind == 104 and len(body) >= 55:
-        time_of_day_s = _hhmmss(body[7:17].split(b"\0")[0])
+        time_of_day_s = time_of_day(body[7:17].split(b"\0")[0])
         latitude, north, longitude, east, quality, satellites, hdop, altitude, _, geoid = struct.unpack_from(
             "<dcdcBBffcf", body, 17
         )
@@ -88,17 +88,17 @@ def _text(before_s: float | None, body: bytes) -> Sentence | None:
     cells = body[begin + 1 :].split(b"*")[0].split(b",") if begin >= 0 else []
     name = cells[0][2:] if cells else b""
     if name == b"GGA" and len(cells) > 9:
-        latitude, longitude = (degrees_of(_number(cells[k])) for k in (2, 4))
+        latitude, longitude = (degrees_of(number_of(cells[k])) for k in (2, 4))
         fields = _fix(
-            _signed(latitude, cells[3], b"S"), _signed(longitude, cells[5], b"W"), int(_number(cells[6]) or 0)
+            _signed(latitude, cells[3], b"S"), _signed(longitude, cells[5], b"W"), int(number_of(cells[6]) or 0)
         )
-        fields |= {"satellites": _number(cells[7]), "hdop": _number(cells[8]), "altitude": _number(cells[9])}
-        return Sentence("gga", before_s, _hhmmss(cells[1]), fields)
+        fields |= {"satellites": number_of(cells[7]), "hdop": number_of(cells[8]), "altitude": number_of(cells[9])}
+        return Sentence("gga", before_s, time_of_day(cells[1]), fields)
     if name == b"VTG" and len(cells) > 5 and cells[1]:
-        speed = _number(cells[5])
-        return Sentence("vtg", before_s, None, {"course": _number(cells[1]), "speed": speed and _KN * speed})
+        speed = number_of(cells[5])
+        return Sentence("vtg", before_s, None, {"course": number_of(cells[1]), "speed": speed and _KN * speed})
     if name == b"HDT" and len(cells) > 1 and cells[1]:
-        return Sentence("hdt", before_s, None, {"heading": _number(cells[1])})
+        return Sentence("hdt", before_s, None, {"heading": number_of(cells[1])})
     return None
 
 
@@ -109,18 +109,3 @@ def _fix(latitude: float, longitude: float, quality: int) -> dict[str, float | N
 
 def _signed(size: float, letter: bytes, negative: bytes) -> float:
     return -size if letter == negative else size
-
-
-def _number(text: bytes) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
-def _hhmmss(text: bytes) -> float | None:
-    digits = text.split(b".")[0]
-    if len(digits) != 6 or not digits.isdigit():
-        return None
-    seconds = 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + float(text[4:])
-    return seconds if math.isfinite(seconds) else None

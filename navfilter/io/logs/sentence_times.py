@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -115,3 +116,20 @@ class Carrier:
             seen[topic] += 1
             self._ready.append((topic, time_s, record))
         self._waiting = []
+
+
+def number_of(text: str | bytes) -> float | None:
+    """A number as a sentence has it; None where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def time_of_day(text: bytes) -> float | None:
+    """Seconds since midnight of hhmmss.s; None where it is no time."""
+    digits = text.split(b".")[0]
+    seconds = number_of(text[4:])
+    if len(digits) != 6 or not digits.isdigit() or seconds is None or not math.isfinite(seconds):
+        return None
+    return 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + seconds

@@ -24,16 +24,7 @@ __all__ = ["degrees_of", "records"]
 TOPIC = "glider"
 _CLOCKS = ("m_present_time", "sci_m_present_time")
 #: Units as the glider writes them -> as a mission.toml does.
-_UNITS = {
-    "rad": "rad",
-    "m": "m",
-    "m/s": "m/s",
-    "bar": "bar",
-    "degC": "degC",
-    "lat": "deg",
-    "lon": "deg",
-    "timestamp": "s",
-}
+_UNITS = {name: name for name in ("rad", "m", "m/s", "bar", "degC")} | {"lat": "deg", "lon": "deg", "timestamp": "s"}
 #: Beyond is the glider's mark for "never": 69696969.
 _LARGEST_ANGLE = 18000.0
 

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from navfilter.foundation import utc
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.models.mission import Mission
+from navfilter.models.state import wrap
 from navfilter.track.track import Track
 
 __all__ = ["degrees_east", "write"]
@@ -84,7 +85,7 @@ def _line(place: Array, properties: dict[str, Any], beside: dict[str, npt.NDArra
     if not beside:
         place = place[_thinned(len(place))]
     # A line across the antimeridian is cut there (RFC 7946, 3.1.9), or it would run round the Earth.
-    cuts = np.flatnonzero(np.abs(np.diff(_wrapped(place[:, 1]))) > np.pi) + 1
+    cuts = np.flatnonzero(np.abs(np.diff(wrap(place[:, 1]))) > np.pi) + 1
     parts = [part for part in np.split(np.arange(len(place)), cuts) if len(part) > 1]
     lines = [_coordinates(place[part]) for part in parts]
     one = len(parts) == 1
@@ -99,13 +100,9 @@ def _thinned(rows: int) -> npt.NDArray[np.int64]:
     return np.linspace(0, rows - 1, min(rows, _MAP_POINTS)).astype(int)
 
 
-def _wrapped(longitude: Array) -> Array:
-    return np.remainder(longitude + np.pi, 2.0 * np.pi) - np.pi
-
-
 def degrees_east(longitude: Array) -> Array:
     """Longitudes [rad] in degrees, from -180 to 180."""
-    return np.degrees(_wrapped(longitude))
+    return np.degrees(wrap(longitude))
 
 
 def _coordinates(place: Array) -> list[list[float]]:

@@ -134,8 +134,7 @@ def _fill(file: sqlite3.Connection, track: Track, places: Array) -> None:
     low, high = places[:, :2].min(axis=0).tolist(), places[:, :2].max(axis=0).tolist()
     for layer, kind in (("track", "LINESTRING"), ("points", "POINT")):
         file.execute(
-            "INSERT INTO gpkg_contents VALUES (?,'features',?,'',?,?,?,?,?,?)",
-            (layer, layer, now, *low, *high, _EPSG),
+            "INSERT INTO gpkg_contents VALUES (?,'features',?,'',?,?,?,?,?,?)", (layer, layer, now, *low, *high, _EPSG)
         )
         file.execute("INSERT INTO gpkg_geometry_columns VALUES (?,'geom',?,?,1,0)", (layer, kind, _EPSG))
     for part in _parts(places):

@@ -62,8 +62,7 @@ def _write(track: Track, file: TextIO) -> None:
             file.writelines(f"<when>{time}</when>\n" for time in times)
         file.writelines(f"<gx:coord>{' '.join(place)}</gx:coord>\n" for place in _places(track))
         file.write('<ExtendedData><SchemaData schemaUrl="#sd"><gx:SimpleArrayData name="sd_horizontal_m">\n')
-        sd = np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
-        file.writelines(f"<gx:value>{value:.3f}</gx:value>\n" for value in sd)
+        file.writelines(f"<gx:value>{value:.3f}</gx:value>\n" for value in track.horizontal_sd())
         file.write("</gx:SimpleArrayData></SchemaData></ExtendedData></gx:Track>\n")
     file.write(_TAIL)
 

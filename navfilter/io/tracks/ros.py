@@ -146,16 +146,9 @@ def _odometry(track: Track) -> Iterator[tuple[int, Any]]:
             pose = _message("geometry_msgs/msg/Pose", point, _message("geometry_msgs/msg/Quaternion", *turned[i]))
             linear = _message("geometry_msgs/msg/Vector3", *velocity[i])
             twist = _message("geometry_msgs/msg/Twist", linear, _message("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0))
-            yield (
-                stamp,
-                _message(
-                    "nav_msgs/msg/Odometry",
-                    _header(stamp, "map"),
-                    "base_link",
-                    _message("geometry_msgs/msg/PoseWithCovariance", pose, pose_P[i]),
-                    _message("geometry_msgs/msg/TwistWithCovariance", twist, twist_P[i]),
-                ),
-            )
+            placed = _message("geometry_msgs/msg/PoseWithCovariance", pose, pose_P[i])
+            moving = _message("geometry_msgs/msg/TwistWithCovariance", twist, twist_P[i])
+            yield stamp, _message("nav_msgs/msg/Odometry", _header(stamp, "map"), "base_link", placed, moving)
 
 
 def _pose_covariance(track: Track, plane: Array) -> Array:

@@ -19,8 +19,6 @@ __all__ = [
     "SCATTERED",
     "SMOOTH_RUN",
     "STRETCH",
-    "TOLD_SINCE",
-    "WITHIN",
     "address",
     "at_bend",
     "at_correction",
@@ -80,10 +78,6 @@ PROMPT = (
 )
 #: The same for `navfilter.kernels.batch.propagate_sample`.
 SAMPLE = (_MATRIX_OF_PLACES, _TABLE, types.float64, types.float64, types.int64)
-#: The same for `navfilter.kernels.open_loop_residual.is_within`.
-WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
-#: The same for `navfilter.kernels.open_loop_residual.information_since`.
-TOLD_SINCE = (_ROW, _TABLE, _PLACES, _ROW, _TABLE, types.float64, _TABLE, _TABLE)
 #: The same for `navfilter.kernels.open_loop_residual.judge_level`.
 LEVEL = (_ROW, types.float64, types.float64)
 #: The same for `navfilter.kernels.noise_scale.update_scale`.

@@ -182,7 +182,7 @@ class DeadReckoning(Mechanisation):
         yaw = self.compass.models[0] if self.compass else self.models[2]
         models = (*self.models[:2], yaw, *self.models[3:])
         blocks = [model.block(self.period_s) for model in models]
-        return np.sqrt([block.C @ block.P0 @ block.C + block.r for block in blocks])
+        return np.sqrt([block.variance for block in blocks])
 
     def _attitude_clock(self) -> tuple[Parameter, ...]:
         sd = self.compass.time_offset_sd_s if self.compass else 0.0
@@ -282,16 +282,12 @@ class DeadReckoning(Mechanisation):
         if self.compass is not None:
             yield from (doubt._replace(field=f"attitude.{doubt.field}") for doubt in self.compass.doubts())
             if self.compass.temperature_sd_rad_per_k:
-                yield Doubt(
-                    "attitude.temperature_sd_rad_per_k",
-                    "dead reckoning estimates no drift with temperature.",
-                    "Leave it out.",
-                )
+                text = "dead reckoning estimates no drift with temperature."
+                yield Doubt("attitude.temperature_sd_rad_per_k", text, "Leave it out.")
         yield from (doubt._replace(field=f"velocity.{doubt.field}") for doubt in self.velocity_sensor.doubts())
         for part in self.described():
             models = part.given if isinstance(part.given, tuple) else (part.given,)
             if any(learning_part(model) is not None for model in models):
                 text = "the errors of what drives are never learnt: nothing measures them by themselves."
-                yield Doubt(
-                    part.place, text, "Give it a fixed model, such as the prior; only its prior is in force now."
-                )
+                cure = "Give it a fixed model, such as the prior; only its prior is in force now."
+                yield Doubt(part.place, text, cure)

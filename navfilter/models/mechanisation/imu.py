@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.kernels import delayed_state, strapdown
-from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White, per_axis
+from navfilter.models.error_models import (
+    ErrorModel,
+    GaussMarkov,
+    RandomWalk,
+    Sum,
+    White,
+    checked_number,
+    per_axis,
+    sum_of,
+)
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.models.mission import Stream
@@ -38,10 +47,7 @@ GYRO_USUAL = Plausible(1e-8, 0.09, "deg_per_h", 6e-3, "deg_per_sqrt_h")  # 5 deg
 ACCEL_USUAL = Plausible(1e-7, 0.5, "mg", 0.05, "mg_per_sqrt_hz")  # 50 mg; 5 mg/sqrt(Hz)
 GYRO_PRIOR: Sum = White(density=1e-4) + RandomWalk(density=1e-6)
 #: Which axis reads how much of which other one; the accelerometers' axes are the body's, as far as three can be.
-CROSSED = {
-    "gyro": ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)),
-    "accel": ((1, 0), (2, 0), (2, 1)),
-}
+CROSSED = {"gyro": ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)), "accel": ((1, 0), (2, 0), (2, 1))}
 ACCEL_PRIOR: Sum = White(density=1e-3) + RandomWalk(density=1e-5)
 
 
@@ -113,11 +119,9 @@ class Imu(Mechanisation):
         for name in self.triples:
             checked_sds(f"Imu.{name}_scale_sd", getattr(self, f"{name}_scale_sd"))
             tau_s = getattr(self, f"{name}_scale_tau_s")
-            if tau_s is not None and not 0.0 < tau_s < math.inf:
-                raise ValueError(f"Imu.{name}_scale_tau_s must be a finite number > 0, found {tau_s!r}.")
-            sd = getattr(self, f"{name}_misalignment_sd_rad")
-            if not 0.0 <= sd < math.inf:
-                raise ValueError(f"Imu.{name}_misalignment_sd_rad must be a finite number >= 0, found {sd!r}.")
+            if tau_s is not None:
+                checked_number(f"Imu.{name}_scale_tau_s", tau_s, zero_ok=False)
+            checked_number(f"Imu.{name}_misalignment_sd_rad", getattr(self, f"{name}_misalignment_sd_rad"))
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:
@@ -251,19 +255,14 @@ def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, 
     for model in models:
         learned = learned_part(model)
         if learned is not None and learned.model is None:
-            beside = [part for part in (model.parts if isinstance(model, Sum) else (model,)) if part is not learned]
+            beside = [part for part in model.terms if part is not learned]
             if learned.prior is None:
                 given = [part for part in default.parts if not any(isinstance(part, type(other)) for other in beside)]
             else:
-                given = list(learned.prior.parts) if isinstance(learned.prior, Sum) else [learned.prior]
+                given = list(learned.prior.terms)
             walks = [part for part in given if isinstance(part, RandomWalk)]
             rest = [part for part in given if not isinstance(part, RandomWalk)] or [White(sd=0.0)]
-            prior = rest[0] if len(rest) == 1 else Sum(tuple(rest))
-            model = (
-                Sum((*beside, *walks, replace(learned, prior=prior)))
-                if beside or walks
-                else replace(learned, prior=prior)
-            )
+            model = sum_of([*beside, *walks, replace(learned, prior=sum_of(rest))])
         resolved.append(model)
     return tuple(resolved)
 

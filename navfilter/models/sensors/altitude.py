@@ -14,7 +14,7 @@ from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 
@@ -74,7 +74,6 @@ class Altitude(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_vector("Altitude.lever_arm_b_m", self.lever_arm_b_m)
         if not (math.isfinite(self.bottom_sd_m) and self.bottom_sd_m >= 0.0 and self.bottom_tau_s > 0.0):
             raise ValueError(
                 f"Altitude.bottom_sd_m must be a finite number >= 0 and bottom_tau_s > 0, found {self.bottom_sd_m!r} "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.heading import USUAL, Heading, checked_north, with_declination_sd
 from navfilter.models.sensors.observable import Observable
@@ -87,10 +87,7 @@ class Attitude(Sensor):
     def __post_init__(self) -> None:
         super().__post_init__()
         checked_vector("Attitude.mounting_rad", self.mounting_rad)
-        if not (math.isfinite(self.misalignment_sd_rad) and self.misalignment_sd_rad >= 0.0):
-            raise ValueError(
-                f"Attitude.misalignment_sd_rad must be a finite number >= 0, found {self.misalignment_sd_rad!r}."
-            )
+        checked_number("Attitude.misalignment_sd_rad", self.misalignment_sd_rad)
         checked_north("Attitude", self)
 
     def at(self, start: Start) -> Attitude:
@@ -140,10 +137,7 @@ class Attitude(Sensor):
         """Angles of the instrument's axes, which are turned against what is believed."""
         from scipy.spatial.transform import Rotation  # only a simulation needs it
 
-        declination = 0.0
-        if self.magnetic:
-            north, east, _ = truth.field_n()
-            declination = math.atan2(east, north) if self.declination_rad is None else self.declination_rad
+        declination = truth.declination(self.declination_rad) if self.magnetic else 0.0
         mounting = Rotation.from_euler("ZYX", self.mounting_rad[::-1])
         axes = Rotation.from_matrix(here.C_nb) * mounting * Rotation.from_rotvec(truth.drawn["misalignment"]).inv()
         angles = axes.as_euler("ZYX")[:, ::-1] + truth.error

@@ -194,17 +194,11 @@ class DvlBeams(BodyVelocity):
         yield from super().doubts()
         tilt_deg = math.degrees(self.beam_tilt_rad)
         if not 10.0 <= tilt_deg <= 45.0:
-            yield Doubt(
-                "beam_tilt_rad",
-                f"beams {tilt_deg:.3g} deg from the down axis are unusual.",
-                "Usual: 20 to 30 deg; write beam_tilt_deg, the angle from the down axis (not from the horizontal).",
-            )
+            cure = "Usual: 20 to 30 deg; write beam_tilt_deg, the angle from the down axis (not from the horizontal)."
+            yield Doubt("beam_tilt_rad", f"beams {tilt_deg:.3g} deg from the down axis are unusual.", cure)
         if np.linalg.cond(self.beams()[: len(self.beam_azimuth_rad)]) > 10.0:
-            yield Doubt(
-                "beam_azimuth_rad",
-                "the beams look into nearly the same directions.",
-                "Azimuths go round the instrument: beam_azimuth_deg = [45, 135, 225, 315].",
-            )
+            cure = "Azimuths go round the instrument: beam_azimuth_deg = [45, 135, 225, 315]."
+            yield Doubt("beam_azimuth_rad", "the beams look into nearly the same directions.", cure)
         if self.current_sd_m_s > 3.0:
             text = f"a current of {self.current_sd_m_s:.4g} m/s is faster than all but the strongest tidal streams."
             yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")

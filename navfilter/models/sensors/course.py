@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Errors, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import USUAL
 from navfilter.models.start import Start
@@ -70,10 +70,6 @@ class Course(Sensor):
         (-0.4, 0.0, -0.2),
         live=False,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        checked_vector("Course.lever_arm_b_m", self.lever_arm_b_m)
 
     def constants(self, start: Start) -> Array:
         """The lever arm."""

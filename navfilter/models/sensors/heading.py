@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import consistency, measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
@@ -55,9 +55,8 @@ def with_declination_sd(sensor: Any, magnetic: bool, start: Start) -> Any:
 
 def checked_north(kind: str, sensor: Any) -> None:
     """Refuse an uncertainty of the declination that is none."""
-    sd = sensor.declination_sd_rad
-    if sd is not None and not 0.0 <= sd < math.inf:
-        raise ValueError(f"{kind}.declination_sd_rad must be a finite number >= 0, found {sd!r}.")
+    if sensor.declination_sd_rad is not None:
+        checked_number(f"{kind}.declination_sd_rad", sensor.declination_sd_rad)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,10 +127,8 @@ class Heading(Sensor):
         checked_vector("Heading.deviation_sd_rad", self.deviation_sd_rad, 2)
         checked_north("Heading", self)
         for name in ("hard_iron_sd", "soft_iron_sd"):
-            sd = getattr(self, name)
-            if not 0.0 <= sd < math.inf:
-                raise ValueError(f"Heading.{name} must be a finite number >= 0, found {sd!r}.")
-            if sd and not self.magnetometer:
+            checked_number(f"Heading.{name}", getattr(self, name))
+            if getattr(self, name) and not self.magnetometer:
                 raise ValueError(
                     f"Heading.{name} is for a magnetometer: of a heading output iron is deviation (deviation_sd_deg)."
                 )
@@ -145,11 +142,8 @@ class Heading(Sensor):
     def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
         """What its equation leaves out: of iron, which is a tenth of the field and more, and of deviation."""
         if self.magnetometer:
-            return (
-                consistency.iron_second_order
-                if self.hard_iron_sd or self.soft_iron_sd
-                else consistency.tilt_second_order
-            )
+            of_iron = self.hard_iron_sd or self.soft_iron_sd
+            return consistency.iron_second_order if of_iron else consistency.tilt_second_order
         return consistency.deviation_second_order if any(self.deviation_sd_rad) else None
 
     @property
@@ -295,10 +289,8 @@ class Heading(Sensor):
 
     def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
         """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""
-        declination = 0.0
-        if self.magnetic or self.magnetometer:
-            north, east, _ = truth.field_n()
-            declination = math.atan2(east, north) if self.declination_rad is None else self.declination_rad
+        of_field = self.magnetic or self.magnetometer
+        declination = truth.declination(self.declination_rad) if of_field else 0.0
         from_north = here.attitude[:, 2] - declination
         temperature = truth.water_temperature_c(here)
         warmth = temperature - self.reference_temperature_c

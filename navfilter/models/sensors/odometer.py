@@ -88,7 +88,7 @@ class Odometer(BodyVelocity):
         yield from super().doubts()
         for axis, model in zip("yz", self.models[1:], strict=True):
             block = model.block(1.0 / self.rate_hz)
-            if self.constrained and float(block.C @ block.P0 @ block.C) + block.r < 0.005**2:
+            if self.constrained and block.variance < 0.005**2:
                 text = "less than 5 mm/s: every vehicle slips and sways more than that."
                 yield Doubt(f"error.{axis}", text, "Usual: 0.05 to 0.2 m/s.")
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.kernels import consistency, measurement, strapdown
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
@@ -108,12 +108,10 @@ class Range(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_vector("Range.lever_arm_b_m", self.lever_arm_b_m)
         if min(checked_vector("Range.beacon_sd_m", self.beacon_sd_m)) < 0.0:
             raise ValueError(f"Range.beacon_sd_m must not be negative, found {self.beacon_sd_m!r}.")
         for name in ("scale_sd", "offset_sd_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise ValueError(f"Range.{name} must be a finite number >= 0, found {getattr(self, name)!r}.")
+            checked_number(f"Range.{name}", getattr(self, name))
         if not self.beacons:
             raise ValueError(
                 "Range.beacons must name at least one beacon, found none. Example: beacons=((26.0, -80.0, -50.0),), "

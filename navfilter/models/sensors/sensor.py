@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -13,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
-from navfilter.models.error_models import ErrorModel, White, per_axis
+from navfilter.models.error_models import ErrorModel, White, checked_number, per_axis
 from navfilter.models.learned_arma import resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
+from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, kind_name
 from navfilter.models.start import Start
 
 if TYPE_CHECKING:
@@ -169,8 +168,7 @@ class Sensor(FrozenDescription):
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
-        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise ValueError(f"{name}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
+        checked_number(f"{name}.rate_hz", self.rate_hz, zero_ok=False)
         if not 0.5 <= self.gate_probability < 1.0:
             raise ValueError(
                 f"{name}.gate_probability must lie in [0.5, 1), found {self.gate_probability!r}. Typical: 0.999."
@@ -185,12 +183,13 @@ class Sensor(FrozenDescription):
         """Refuse what no kind can use."""
         if not math.isfinite(self.time_offset_s):
             raise ValueError(f"{name}.time_offset_s must be a finite number, found {self.time_offset_s!r}.")
-        if not 0.0 <= self.time_offset_sd_s < math.inf:
-            raise ValueError(f"{name}.time_offset_sd_s must be a finite number >= 0, found {self.time_offset_sd_s!r}.")
+        checked_number(f"{name}.time_offset_sd_s", self.time_offset_sd_s)
         if self.from_drive and (self.time_offset_s or self.time_offset_sd_s):
             raise ValueError(
                 f"{name} has no clock of its own: it is made from the drive's samples. Leave the time_offset out."
             )
+        if self.has_lever_arm:
+            checked_vector(f"{name}.lever_arm_b_m", self.lever_arm_b_m)  # type: ignore[attr-defined]
         checked_vector(f"{name}.lever_arm_sd_m", self.lever_arm_sd_m)
         if min(self.lever_arm_sd_m) < 0.0:
             raise ValueError(f"{name}.lever_arm_sd_m must be three numbers >= 0, found {self.lever_arm_sd_m!r}.")
@@ -246,7 +245,7 @@ class Sensor(FrozenDescription):
         does not.
         """
         block = self.models[axis].block(1.0 / self.rate_hz)
-        return float(block.r / count + block.C @ block.P0 @ block.C)
+        return block.r / count + block.state_variance
 
     @property
     def still_m_s(self) -> float:
@@ -362,7 +361,7 @@ class Sensor(FrozenDescription):
     @property
     def words(self) -> str:
         """What it measures, in words; default: the name of the class."""
-        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).lower()
+        return kind_name(type(self)).replace("-", " ")
 
     def stream_columns(self) -> tuple[str, ...]:
         """Names of the columns of its stream, those that must be there."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from navfilter.foundation.constants import STANDARD_GRAVITY
 
-__all__ = ["Columns", "Doubt", "Example", "Plausible", "angle_doubt", "kinds_below", "shown_unit"]
+__all__ = ["Columns", "Doubt", "Example", "Plausible", "angle_doubt", "kind_name", "kinds_below", "shown_unit"]
 
 #: SI unit -> what people read it in, and the factor to it.
 _SHOWN = {
@@ -43,6 +44,11 @@ def kinds_below(base: type) -> Iterator[type]:
     for cls in base.__subclasses__():
         yield cls
         yield from kinds_below(cls)
+
+
+def kind_name(kind: type) -> str:
+    """A class by its name in files: ``body-velocity``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__).lower()
 
 
 class Columns(NamedTuple):

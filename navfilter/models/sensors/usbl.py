@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import consistency, measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.ranges import EARTH, SIGHT_S_PER_M, earth_fixed
@@ -127,11 +127,10 @@ class Usbl(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("lever_arm_b_m", "transceiver_m", "transceiver_mounting_rad", "ship_sd_m"):
+        for name in ("transceiver_m", "transceiver_mounting_rad", "ship_sd_m"):
             checked_vector(f"Usbl.{name}", getattr(self, name))
         for name in ("misalignment_sd_rad", "scale_sd"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise ValueError(f"Usbl.{name} must be a finite number >= 0, found {getattr(self, name)!r}.")
+            checked_number(f"Usbl.{name}", getattr(self, name))
         if min(self.ship_sd_m) < 0.0 or not (math.isfinite(self.ship_tau_s) and self.ship_tau_s > 0.0):
             raise ValueError(
                 f"Usbl.ship_sd_m must not be negative and ship_tau_s a finite number > 0, found {self.ship_sd_m!r} and "
@@ -205,7 +204,7 @@ class Usbl(Sensor):
         usual = (1e-3, 100.0), (1e-4, 0.2), (1e-4, 0.2)
         for model, axis, (least, most) in zip(self.models, self.axis_names, usual, strict=True):
             block = model.block(1.0 / self.rate_hz)
-            sd = math.sqrt(float(block.C @ block.P0 @ block.C) + block.r)
+            sd = math.sqrt(block.variance)
             if not least <= sd <= most:
                 unit, cure = ("m", "It is in metres.") if axis == "range" else ("rad", "In degrees write sd_deg.")
                 yield Doubt(f"error.{axis}", f"an error of {sd:.3g} {unit} is unusual.", cure)

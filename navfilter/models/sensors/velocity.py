@@ -95,7 +95,6 @@ class BodyVelocity(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_vector("BodyVelocity.lever_arm_b_m", self.lever_arm_b_m)
         checked_vector("BodyVelocity.mounting_rad", self.mounting_rad)
         for name in ("scale_sd", "misalignment_sd_rad"):
             checked_sds(f"{type(self).__name__}.{name}", getattr(self, name))
@@ -199,11 +198,8 @@ class BodyVelocity(Sensor):
             yield angle_doubt("misalignment_sd_rad", most)
         most = max(checked_sds("scale_sd", self.scale_sd))
         if most > 0.2:
-            yield Doubt(
-                "scale_sd",
-                f"a scale error of {100.0 * most:.4g} % is unusual.",
-                "It is a pure number: 1 % is 0.01.",
-            )
+            cure = "It is a pure number: 1 % is 0.01."
+            yield Doubt("scale_sd", f"a scale error of {100.0 * most:.4g} % is unusual.", cure)
 
     def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """Scale, and the rotation vector of the misalignment."""
@@ -296,7 +292,7 @@ class WaterVelocity(BodyVelocity):
         uncertain.
         """
         blocks = {name: model.block(1.0 / self.rate_hz) for name, model in self.wandering().items()}
-        sds = ((name, math.sqrt(block.C @ block.P0 @ block.C)) for name, block in blocks.items())
+        sds = ((name, math.sqrt(block.state_variance)) for name, block in blocks.items())
         current = (Parameter(name, sd, "m_s") for name, sd in sds)
         hidden = (p for name, block in blocks.items() for p in hidden_states(name, block, "m_s"))
         return (*current, *hidden, *super().parameters())
@@ -323,9 +319,8 @@ class WaterVelocity(BodyVelocity):
             yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
         if self.current_tau_s < 60.0:
             text = f"a current that is another one after {self.current_tau_s:.3g} s carries no position."
-            yield Doubt(
-                "current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error."
-            )
+            cure = "It is in seconds; currents last for hours. Eddies and waves belong to error."
+            yield Doubt("current_tau_s", text, cure)
 
 
 @dataclass(frozen=True, kw_only=True)
