@@ -845,7 +845,7 @@ def attitude_second_order(P, acc, nav, own, work=None):
     """
     m, tilt = acc.shape[1], P[6:8, 6:8]
     fourth = np.trace(tilt) ** 2 + 2.0 * np.trace(tilt @ tilt)
-    acc[m + 5, 5] += 0.25 * 9.7803253359**2 * math.sqrt(6378137.0 / 9.7803253359) * acc[2, 5] * fourth
+    acc[m + 5, 5] += 0.25 * 9.7803253359**2 * math.sqrt(6378137.0 / 9.7803253359) * max(acc[2, 5], 0.0) * fourth
     J = acc[3:5] - np.eye(2, m, 3)
     J[:, 8] = 0.0
     variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]

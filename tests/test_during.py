@@ -6,7 +6,9 @@ import json
 import numpy as np
 import pytest
 
+import navfilter as nf
 from navfilter.commands.cli import main
+from navfilter.evaluation.calibration_states import constant_lights
 from navfilter.io import read_mission, write_vehicle
 from navfilter.models.during import During
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
@@ -70,6 +72,69 @@ def test_a_name_that_others_stand_for_is_not_silent(dive):
     track = replay(vehicle, with_during(mission, *said), output_rate_hz=1.0)
     assert {spell.reason for spell in spells(track)} == {"depth is silent"}
     assert [m.label for name in track.residuals for m in outages(track, name) if "gps" not in name] == ["no depth"]
+
+
+@pytest.fixture(scope="module")
+def unsure(dive):
+    """The same vehicle with constants that it has to find, and a DVL that errs slowly."""
+    error = GaussMarkov(sd=0.01, tau_s=30.0) + White(sd=0.01)
+    known = {"scale_sd": 0.02, "misalignment_sd_rad": 0.03, "lever_arm_sd_m": (0.2, 0.2, 0.2)}
+    sensors = dict(dive[0].sensors)
+    sensors["dvl"] = dataclasses.replace(sensors["dvl"], error=error, **known)
+    sensors["compass"] = dataclasses.replace(sensors["compass"], bias_sd_rad=0.03)
+    return nf.Vehicle(dive[0].drive, sensors), dive[1]
+
+
+def same_as_ever(vehicle, name, *times_s):
+    return During(name, *times_s, keys={"rate_hz": vehicle.sensors[name].rate_hz})
+
+
+def test_a_sensor_that_is_described_as_ever_is_what_it_was(unsure):
+    """Errors and constants go over to the other name and back: forward and smoothed, to what one fold changes."""
+    vehicle, mission = unsure
+    spans = {"dvl": (100.0, 200.0), "compass": (100.0, 130.0), "gps": (50.0,), "depth": (10.0, 20.0)}
+    said = with_during(mission, *(same_as_ever(vehicle, name, *span) for name, span in spans.items()))
+    plain, track = (replay(vehicle, m, output_rate_hz=1.0, smooth=True) for m in (mission, said))
+    for one, other in ((plain, track), (plain.forward, track.forward)):
+        sd = np.sqrt(np.diagonal(one.covariance, axis1=1, axis2=2))
+        places = (np.column_stack([track.latitude, track.longitude]) for track in (one, other))
+        assert np.abs(np.subtract(*places)).max() * 6.4e6 < 0.02
+        assert np.allclose(np.sqrt(np.diagonal(other.covariance, axis1=1, axis2=2)), sd, rtol=2e-3)
+
+
+def test_what_is_learnt_of_a_constant_is_learnt_under_every_name(unsure):
+    vehicle, mission = unsure
+    said = During("dvl", 100.0, 130.0, noise=3.0), During("compass", 200.0, noise=3.0)
+    moved = During("dvl", 150.0, keys={"lever_arm_b_m": (*vehicle.sensors["dvl"].lever_arm_b_m[:2], 0.9)})
+    plain, noisy, after = (
+        {light.name: light for light in constant_lights(replay(vehicle, with_during(mission, *what)))}
+        for what in ((), said, (moved,))
+    )
+    assert plain.keys() == noisy.keys() == {name for name in after if "@" not in name}
+    assert all(noisy[name].sd < 1.3 * light.sd for name, light in plain.items())
+    assert {name for name in after if "@" in name} == {f"dvl@2.lever_arm_{axis}" for axis in "xyz"}
+    assert after["dvl@2.lever_arm_z"].given == 0.9 and after["dvl.scale"].sd < 1.1 * plain["dvl.scale"].sd
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.6])
+def test_live_late_and_after_a_restart_it_is_the_same(unsure, late_s):
+    said = During("dvl", 40.0, 60.0, noise=3.0), During("compass", 50.0, noise=2.0)
+    vehicle, mission = instructed(unsure[0], with_during(unsure[1].between(0.0, 80.0), *said))
+    lines = [(t, "", row) for t, row in zip(mission.streams["imu"].time_s, mission.streams["imu"].value, strict=True)]
+    for name in vehicle.sensors:
+        stream = mission.streams[name]
+        lines += [(t, name, value) for t, value in zip(stream.time_s, stream.value, strict=True)]
+    lines.sort(key=lambda line: round(line[0], 9) + late_s * line[1].startswith("dvl"))
+    nav = Navigator(vehicle, mission.start)
+    for k, (time_s, name, value) in enumerate(lines):
+        if k == len(lines) * 5 // 8:  # under other names
+            nav = Navigator.restore(vehicle, nav.snapshot())
+        if name:
+            assert nav.correct(name, time_s, value).status in ("used", "late-replayed", "rejected")
+        else:
+            nav.step(time_s, value[:3], value[3:])
+    track = replay(vehicle, mission, output_rate_hz=None)
+    assert np.array_equal(nav.state.covariance, track.covariance[-1]) and nav.state.latitude == track.latitude[-1]
 
 
 def test_nor_is_it_on_board(dive):

@@ -465,7 +465,7 @@ def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change
     J[:, 8] = 0.0
     k = 0.8 / np.trace(J @ P[:m, :m] @ J.T + acc[m + 3 : m + 5, 3:5])
     acc[3:5], acc[m : 2 * m] = np.eye(2, m, 3) + math.sqrt(k) * J, k * acc[m : 2 * m]
-    acc[3, 8], acc[4, 8] = change_m_s * np.array([0.6, -0.8])
+    acc[3, 8], acc[4, 8], acc[2, 5] = change_m_s * 0.6, change_m_s * -0.8, 0.5
     before = acc.copy()
     present, twin = run_both(kalman.present, P, acc, nav, True, 0.0, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
     assert_close(present[6:], twin[6:], 1e-14)

@@ -274,6 +274,21 @@ def test_a_jump_of_the_clock_leaves_no_nan(nav, jump_s):
     sound(nav)
 
 
+def test_a_state_that_goes_back_from_a_reading_ahead_keeps_a_covariance():
+    """Found where stamps saw: what a large tilt adds to the vertical velocity was taken off for a negative time."""
+    sensors = {"compass": nf.Heading(rate_hz=8, error=nf.White(sd=0.02)), "depth": nf.Depth(rate_hz=1)}
+    nav = nf.Navigator(
+        nf.Vehicle(imu=nf.Imu(rate_hz=100, gyro=nf.White(density=1e-4)), sensors=sensors),
+        nf.Start(latitude_deg=45.0, longitude_deg=-4.0, tilt_sd_deg=10.0),
+    )
+    for k in range(1, 121):
+        nav.step(0.01 * k, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
+        if k == 100:
+            assert nav.correct("depth", 1.9, 0.0).status == "used"
+    assert nav.correct("compass", 1.2, 0.0).status == "used"
+    assert np.linalg.eigvalsh(nav.state.covariance)[0] > 0.0
+
+
 def test_readings_before_the_first_sample():
     for build in VEHICLES.values():
         nav = nf.Navigator(build(), START, nf.Tape())

@@ -14,7 +14,8 @@ from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.io.tracks.reading import read_track
 from navfilter.report.chart import MOST_TILES, TILE, _tile, chart_of, check_tiles
-from navfilter.report.plan_view import plan_view
+from navfilter.report.plan_view import draw_plan, plan_view
+from navfilter.report.report import write_report
 from navfilter.report.run_tables import headline_rows
 
 
@@ -74,6 +75,28 @@ def test_of_a_large_track_coarser_tiles_are_taken(tiles):
     chart = chart_of(path, latitude - 0.02, longitude - 0.02, latitude + 0.02, longitude + 0.02)
     assert chart is not None and chart.picture.size <= 3 * MOST_TILES * TILE**2
     assert chart_of(path, 10.0, 10.0, 10.1, 10.1) is None
+
+
+def test_a_report_says_what_the_tiles_hold(tiles, tmp_path):
+    mission, tracks = small_run()
+    far = tmp_path / "10" / "0"
+    far.mkdir(parents=True)
+    (far / "0.png").write_bytes(picture(200))
+    for path, words in ((tiles, "from the tiles given"), (tmp_path, "nothing of this place is in the tiles given")):
+        write_report({"smoothed": tracks["smoothed"]}, mission, tmp_path / "report.html", tiles=path)
+        assert f"Chart: {words}." in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_degrees_are_written_whole():
+    """Not as what is left beside -8.01e1."""
+    mission, tracks = small_run()
+    figure = draw_plan(plan_view({"smoothed": tracks["smoothed"]}, mission))
+    figure.savefig(io.BytesIO())
+    above, right = figure.axes[0].child_axes
+    latitude, longitude = place_of(tracks["smoothed"])
+    for labels, place in ((above.get_xticklabels(), longitude), (right.get_yticklabels(), latitude)):
+        shown = [float(label.get_text().replace("\u2212", "-")) for label in labels]
+        assert np.allclose(shown, place, atol=0.1)
 
 
 def test_what_holds_no_tiles_is_refused(tmp_path):

@@ -36,3 +36,14 @@ def test_orders_count_by_the_way_not_by_the_time():
     )
     assert json.loads(json.dumps(found.to_dict()))["orders"]["2"] == pytest.approx(100.0)
     assert any("R95" in line for line in found.lines())
+    assert found.horizontal == found.orders and "horizontally" not in "".join(found.lines())
+
+
+def test_without_depths_the_orders_are_told_horizontally():
+    _, tracks = small_run()
+    track = list(tracks.values())[-1]
+    covariance = np.zeros_like(track.covariance)
+    covariance[:, :3, :3] = np.diag([0.5, 0.5, 100.0]) ** 2
+    found = survey_figures(replace(track, covariance=covariance))
+    assert set(found.orders.values()) == {0.0} and found.horizontal["special"] == pytest.approx(100.0)
+    assert "horizontally alone: exclusive 0 %, special 100 %" in "".join(found.lines())

@@ -318,3 +318,11 @@ def test_toml_that_no_parser_takes(tmp_path, text, message):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(VehicleError, match="no such file"):
         read_vehicle(tmp_path)
+
+
+def test_a_name_that_a_sensor_has_for_a_time_is_none_for_a_file(tmp_path):
+    write_vehicle(simulate_scenario("lawnmower", 1, 10.0)[0], tmp_path / "vehicle.toml")
+    text = (tmp_path / "vehicle.toml").read_text(encoding="utf-8").replace("[sensors.gps]", '[sensors."gps@2"]')
+    (tmp_path / "vehicle.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match='"gps@2" would be gps, described otherwise for a time'):
+        read_vehicle(tmp_path / "vehicle.toml")

@@ -12,6 +12,7 @@ from navfilter.calibration.lights import Light, check_limits, lit
 from navfilter.calibration.parts import constants_of
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
+from navfilter.models.during import instrument, shared
 from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.track.track import Track
 
@@ -53,15 +54,21 @@ def constants(track: Track) -> tuple[Constant, ...]:
     vehicle = track.vehicle
     drive = vehicle.drive
     constant = constant_parameters(drive.all_parameters(), drive.wandering())
-    given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in constant]
+    given: list[tuple[str, str, str, Parameter]] = [("", p.name, p.name, p) for p in constant]
+    heard_s = {name: r.time_s.max(initial=-math.inf) for name, r in track.residuals.items()}
     for name, sensor in vehicle.sensors.items():
-        constant = constant_parameters(sensor.all_parameters(), sensor.wandering())
-        given += [(name, f"{name}.{p.name}", p) for p in constant]
+        others = {o: shared(sensor, s) for o, s in vehicle.sensors.items() if instrument(o) == instrument(name)}
+        for p in constant_parameters(sensor.all_parameters(), sensor.wandering()):
+            # of an instrument that was described otherwise for a time it stands where that was heard last
+            same = [other for other, names in others.items() if p.name in names]
+            if same[0] == name:
+                last = max(same, key=lambda other: heard_s.get(other, -math.inf))
+                given.append((name, f"{name}.{p.name}", f"{last}.{p.name}", p))
     at = {name: i for i, name in enumerate(track.state_names)}
     return tuple(
-        Constant(owner, name, p.unit, p.mean, p.sd, *(float(x[-1, at[name]]) for x in (track.states, track.states_sd)))
-        for owner, name, p in given
-        if p.sd and name in at and math.isfinite(track.states_sd[-1, at[name]])
+        Constant(owner, name, p.unit, p.mean, p.sd, *(float(x[-1, at[own]]) for x in (track.states, track.states_sd)))
+        for owner, name, own, p in given
+        if p.sd and own in at and math.isfinite(track.states_sd[-1, at[own]])
     )
 
 

@@ -37,6 +37,8 @@ class SurveyFigures:
         Bound of the vertical error in 95 of 100 cases [m].
     orders : dict of str to float
         Share of the way on which the vehicle's position meets an order, in per cent.
+    horizontal : dict of str to float
+        The same of the horizontal position alone: all there is of a mission without depths or heights.
     heave_rms_m : float or None
         Rms of `navfilter.track.heave.heave` [m]; None without an inertial unit, and for rows too far apart.
     """
@@ -48,6 +50,7 @@ class SurveyFigures:
     tvu_mean_m: float
     tvu_most_m: float
     orders: dict[str, float]
+    horizontal: dict[str, float]
     heave_rms_m: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -63,8 +66,12 @@ class SurveyFigures:
         )
         if self.heave_rms_m is not None:
             yield f"heave (up and down faster than 30 s) {self.heave_rms_m:.3f} m rms"
-        shares = ", ".join(f"{name} {share:.0f} %" for name, share in self.orders.items())
-        yield f"of the way within the orders of IHO S-44 (position of the vehicle alone, limits of depth 0): {shares}"
+        both, alone = (
+            ", ".join(f"{name} {share:.0f} %" for name, share in shares.items())
+            for shares in (self.orders, self.horizontal)
+        )
+        both += f"; horizontally alone: {alone}" * (alone != both)
+        yield f"of the way within the orders of IHO S-44 (position of the vehicle alone, limits of depth 0): {both}"
 
 
 def survey_figures(track: Track) -> SurveyFigures:
@@ -78,12 +85,17 @@ def survey_figures(track: Track) -> SurveyFigures:
     vertical = float(ndtri(0.975)) * np.sqrt(np.maximum(track.covariance[:, 2, 2], 0.0))
     way = np.diff(track.travelled(), append=track.distance_m)
     way = way if way.sum() > 0.0 else np.ones(len(track))
-    inside = {name: (r95 <= thu) & (vertical <= tvu) for name, (thu, tvu) in ORDERS.items()}
+    level = {name: r95 <= thu for name, (thu, _) in ORDERS.items()}
+    whole = {name: level[name] & (vertical <= tvu) for name, (_, tvu) in ORDERS.items()}
+    orders, horizontal = (
+        {name: float(100.0 * way[met].sum() / way.sum()) for name, met in each.items()} for each in (whole, level)
+    )
     return SurveyFigures(
         *(float(cep50.mean()), float(cep50.max())),
         *(float(r95.mean()), float(r95.max())),
         *(float(vertical.mean()), float(vertical.max())),
-        orders={name: float(100.0 * way[met].sum() / way.sum()) for name, met in inside.items()},
+        orders=orders,
+        horizontal=horizontal,
         heave_rms_m=_heave_rms_m(track),
     )
 

@@ -26,7 +26,7 @@ from navfilter.filter.events import (
 )
 from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
 from navfilter.filter.imu_intake import ImuIntake
-from navfilter.filter.model_change import Adoption, Change, adoption
+from navfilter.filter.model_change import Adoption, Change, adoption, handover
 from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
@@ -34,6 +34,7 @@ from navfilter.filter.state_layout import Layout
 from navfilter.kernels import batch, consistency, kalman, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
+from navfilter.models.during import instrument
 from navfilter.models.error_models import per_axis
 from navfilter.models.fault_bias import described, offset_states, with_the_same_offsets
 from navfilter.models.learned_arma import learning_part
@@ -97,6 +98,9 @@ class Filter:
         self.fold_every, self.ahead_s = max(1, round(drive.rate_hz)), max(self.AHEAD_S, 3.0 * self.period_s)
         self.inertial = drive.inertial
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
+        for name, channel in self.channels.items():
+            mine = (other for key, other in self.channels.items() if instrument(key) == instrument(name))
+            channel.others = tuple(other for other in mine if other is not channel)
         self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
         self._layout_before: tuple[Vehicle, Layout] | None = None
         self.prepared: list[Adoption] = []
@@ -318,6 +322,8 @@ class Filter:
         reading = channel.sensor.read(z)
         if reading is None:
             return self._unused(channel, time_s, "invalid")
+        if channel.others:
+            self._take_over(channel, tell)
         # one that could have waited is taken as it is at the end of a run: what comes then is not to be guessed
         holds = early <= 1.001 * self.period_s or not channel.lead_s
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
@@ -325,6 +331,20 @@ class Filter:
             memory.time_s = time_s
         channel.stale = same and self.monitor.is_stale(self, channel, time_s)
         return self._update(channel, time_s, reading, sd, frozen or channel.stale, tell)
+
+    def _take_over(self, channel: Channel, tell: Listening) -> None:
+        """Let an instrument that is described otherwise from now on go on where it was."""
+        before = channel.predecessor
+        if before is None:
+            return
+        if self.memory.unfolded:
+            tell(self._fold())
+        M, N = handover(self.layout, self.in_force, before.name, channel.name)
+        self.memory.x[:] = M[9:, 9:] @ self.memory.x
+        self._transform(M, N)
+        channel.memory.ticked_s, channel.memory.used_s = before.memory.ticked_s, before.memory.used_s
+        self._row()
+        tell(StateTransformed(M))
 
     def _unused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:

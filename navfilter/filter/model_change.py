@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.state_layout import Group, Layout
+from navfilter.models.during import shared
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, joined_block
 from navfilter.models.learned_arma import LearnedArma, register_block, register_labels
 from navfilter.models.vehicle import Vehicle
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Adoption", "Change", "adoption", "state_change", "transfer"]
+__all__ = ["Adoption", "Change", "adoption", "handover", "state_change", "transfer"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
@@ -120,18 +121,44 @@ def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle, afre
         if part_before is part_now:
             M[range(row, row + now.size), range(column, column + now.size)] = 1.0
             continue
-        for model_before, model in zip(part_before.models, part_now.models, strict=True):
-            part, noise = transfer(model_before, model, period_s)
-            r, c = part.shape
-            M[row : row + r, column : column + c], N[row : row + r, row : row + r] = part, noise
-            row, column = row + r, column + c
+        _transfer_axes(M, N, row, column, part_before, part_now, period_s)
         for i in range(now.size - now.errors):
-            M[row + i, column + i] = 1.0
+            M[row + now.errors + i, column + was.errors + i] = 1.0
     if afresh:
         group = after.groups[afresh]
         errors = slice(group.start, group.start + group.errors)
         M[errors], N[errors, errors] = 0.0, group.P0[: group.errors, : group.errors]
     return M, N
+
+
+def handover(layout: Layout, vehicle: Vehicle, giver: str, taker: str) -> tuple[Array, Array]:
+    """How all error states follow where an instrument goes on under another name, by which it is described otherwise.
+
+    Its errors go on as at a change of models, and so do the parameters of which both descriptions say the same.
+
+    Returns
+    -------
+    M, N : ndarray, shape (n, n)
+        See `state_change`.
+    """
+    M, N = np.eye(layout.size), np.zeros((layout.size, layout.size))
+    was, now, old, new = layout.groups[giver], layout.groups[taker], vehicle.sensors[giver], vehicle.sensors[taker]
+    M[now.start : now.start + now.errors] = 0.0
+    _transfer_axes(M, N, now.start, was.start, old, new, 1.0 / new.rate_hz)
+    for name in shared(old, new):
+        row = now.start + now.names.index(f"{taker}.{name}")
+        M[row] = 0.0
+        M[row, was.start + was.names.index(f"{giver}.{name}")] = 1.0
+    return M, N
+
+
+def _transfer_axes(M: Array, N: Array, row: int, column: int, old: Any, new: Any, period_s: float) -> None:
+    """Put `transfer` of all axes of a sensor into the matrices of a change, from a row and a column on."""
+    for before, after in zip(old.models, new.models, strict=True):
+        part, noise = transfer(before, after, period_s)
+        r, c = part.shape
+        M[row : row + r, column : column + c], N[row : row + r, row : row + r] = part, noise
+        row, column = row + r, column + c
 
 
 def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, Array]:

@@ -81,6 +81,7 @@ class Channel:
         self.ground, self.reads = sensor.ground, sensor.reads
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.held = sensor.held()
+        self.others: tuple[Channel, ...] = ()  # of the same instrument, for times in which it is described otherwise
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
         self.facts: Array | None = None  # what the monitor works out for these states
@@ -191,6 +192,12 @@ class Channel:
             self._turned = variance
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
+
+    @property
+    def predecessor(self) -> Channel | None:
+        """The channel by which the same instrument was heard last, where that is another one."""
+        latest = max(self.others, key=lambda other: other.memory.last_s, default=self)
+        return latest if latest.memory.last_s > self.memory.last_s else None
 
     def has_dived(self, time_s: float) -> bool:
         """Whether no fix has been used for so long that the vehicle has dived."""

@@ -27,6 +27,7 @@ from navfilter.foundation.quoting import toml_key, toml_literal
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.models import periodic_error  # noqa: F401 - kinds are those whose module has been imported
+from navfilter.models.during import instrument, is_alias
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.fault_bias import FaultBias
 from navfilter.models.learned_arma import LearnedArma
@@ -401,6 +402,8 @@ def _sensor_name(name: str) -> str:
         raise ValueError(f'"{name}" is reserved for the drive; give the sensor another name')
     if not name.strip() or not name.isprintable():
         raise ValueError("a sensor needs a name of printable characters: that of its stream in the mission")
+    if is_alias(name):
+        raise ValueError(f'"{name}" would be {instrument(name)}, described otherwise for a time; give it another name')
     return name
 
 

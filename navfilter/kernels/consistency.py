@@ -234,7 +234,8 @@ def attitude_second_order(P, acc, nav, own, work):
 
     A tilt takes g / 2 times its square from the vertical force. It lasts, and a depth gauge that sees the height fall
     would tell tilt and velocities by it. So the vertical velocity gets white noise with the power that this has at low
-    frequencies, `TILT_SQUARED` times the mean square of the squared tilt.
+    frequencies, `TILT_SQUARED` times the mean square of the squared tilt; none where the state goes back from a reading
+    ahead of the drive.
 
     A heading error turns the change of velocity. But an error of tilt or of an accelerometer looks like one too, and as
     much of its square as that has variance would be information about the heading out of nothing: errors in variables
@@ -246,7 +247,7 @@ def attitude_second_order(P, acc, nav, own, work):
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
     xx, yy, xy = P[6, 6], P[7, 7], P[6, 7]
-    acc[m + 5, 5] += TILT_SQUARED * acc[2, 5] * (3.0 * (xx * xx + yy * yy) + 2.0 * xx * yy + 4.0 * xy * xy)
+    acc[m + 5, 5] += TILT_SQUARED * max(acc[2, 5], 0.0) * (3.0 * (xx * xx + yy * yy) + 2.0 * xx * yy + 4.0 * xy * xy)
     if own > 1.0 or (own != 0.0 and turns_with_heading(P, nav[3] - east, nav[4] + north)):
         return
     variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]

@@ -308,7 +308,7 @@ class OpenLoopSeries:
         """
         memory = self._memory
         written = int(memory.cursor[0])
-        newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
+        newest = min(round(max(0.0, self.behind_s - age_s) / self.period_s), written)  # one may never have been heard
         memory.due = self._next(written)
         fresh, memory.heard = written - newest - memory.heard, written - newest
         after = math.ceil(TAKEN_AFTER_S / self.period_s)

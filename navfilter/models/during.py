@@ -6,9 +6,12 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["During", "alias", "is_alias", "same_sensor"]
+if TYPE_CHECKING:
+    from navfilter.models.sensors import Sensor
+
+__all__ = ["During", "alias", "instrument", "is_alias", "same_sensor", "shared"]
 
 _ALIAS = re.compile(r".+@\d+")
 
@@ -28,11 +31,19 @@ def same_sensor(name: str, names: Iterable[str]) -> list[str]:
 
     The instrument is silent where none of them is heard, and only its own name says so.
     """
-    return [] if is_alias(name) else [each for each in names if _own(each) == name]
+    return [] if is_alias(name) else [each for each in names if instrument(each) == name]
 
 
-def _own(name: str) -> str:
+def instrument(name: str) -> str:
+    """The own name of a sensor, whatever it is called for a time."""
     return name.rpartition("@")[0] if is_alias(name) else name
+
+
+def shared(one: Sensor, other: Sensor) -> list[str]:
+    """Names of the parameters that two descriptions of an instrument have in common: they say the same of them."""
+    theirs = set(other.all_parameters())
+    mine = (p for p in one.all_parameters() if p in theirs)
+    return [p.name for p in mine if one.nominal(p.name) == other.nominal(p.name)]
 
 
 @dataclass(frozen=True)

@@ -294,6 +294,7 @@ class MeasurementFastPath:
         if (
             channel.faults.doubted(channel.offset)
             or not (known and channel.faults.agrees)
+            or channel.predecessor is not None
             or nav.queue.readings
             or learning.is_waiting
         ):

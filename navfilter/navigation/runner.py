@@ -467,8 +467,9 @@ class Rerun(BatchRunner):
 
 
 def _until_s(channel: Channel) -> float:
-    """Until when its readings are the kernel's [s]: none is where its errors are of another kind now."""
-    return sensor_bias.as_usual_until_s(channel) if channel.spot[kernels.EQUATION] else -math.inf
+    """Until when its readings are the kernel's [s]: none is where its errors are of another kind now, or go over."""
+    known = channel.spot[kernels.EQUATION] and channel.predecessor is None
+    return sensor_bias.as_usual_until_s(channel) if known else -math.inf
 
 
 def _last(tape: Tape | None) -> float:

@@ -20,8 +20,8 @@ __all__ = ["instructed"]
 def instructed(vehicle: Vehicle, mission: Mission) -> tuple[Vehicle, Mission]:
     """Vehicle and mission with what `Mission.during` says put into them.
 
-    A sensor that is described otherwise for a time stands beside itself under another name ("dvl@2"), with error states
-    and constants of its own, and has the readings of that time.
+    A sensor that is described otherwise for a time stands beside itself under another name ("dvl@2"), and has the
+    readings of that time. It goes on where it was, see `navfilter.filter.model_change.handover`.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 
@@ -238,6 +238,7 @@ def _degrees(ax: Axes, plan: Plan) -> None:
     right.set_ylabel("latitude [deg]")
     for axis in (above.xaxis, right.yaxis):
         axis.set_major_locator(MaxNLocator(5))
+        axis.set_major_formatter(ScalarFormatter(useOffset=False))
         axis.set_tick_params(labelsize=7.0)
 
 

@@ -143,9 +143,9 @@ def _over_time(
     plan = plan_view(shown, mission, tiles=tiles)
     kind = "Circles" if plan.shape.endswith("circle") else "Ellipses"
     caption = f"{kind} hold the vehicle with 95 % probability, if the filter is honest. Crosses: fixes that were used."
-    caption += " A zoom in a figure over time shows its part here." + (
-        " Chart: from the tiles given." * (plan.chart is not None)
-    )
+    caption += " A zoom in a figure over time shows its part here."
+    if tiles is not None:
+        caption += f" Chart: {'from' if plan.chart else 'nothing of this place is in'} the tiles given."
     yield Section("Track", (instrument.figure(plan, caption),))
     caption = "Height over time, under water minus the depth, with its 1-sigma band; horizontal speed."
     turned = drawn(figures.attitude_figure(shown, mission), "Attitude of the vehicle.")

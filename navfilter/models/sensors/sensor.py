@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,16 @@ Errors = ErrorModel | tuple[ErrorModel, ...]
 EARLY_SDS = 2.5
 #: What is seen of the motion after a reading, at least [s].
 SEEN_S = 0.2
+#: Keys that parameters come on top of, and how the names of these begin.
+ON_TOP = {
+    "time_offset_s": "time_offset",
+    "lever_arm_b_m": "lever_arm_",
+    "mounting_rad": "misalignment_",
+    "transceiver_mounting_rad": "misalignment_",
+    "hard_iron": "hard_iron_",
+    "soft_iron": "soft_iron_",
+    "beacons": "beacon_",
+}
 #: A number beyond this is no measurement in any unit: a pressure at the greatest depth is 1e8 Pa.
 LARGEST = 1e12
 
@@ -215,6 +225,11 @@ class Sensor(FrozenDescription):
         arm = tuple(Parameter(f"lever_arm_{a}", sd, "m") for a, sd in zip("xyz", self.lever_arm_sd_m, strict=True))
         clock = (Parameter("time_offset", self.time_offset_sd_s, "s"),)
         return (arm if any(self.lever_arm_sd_m) else ()) + (clock if self.time_offset_sd_s else ())
+
+    def nominal(self, parameter: str) -> Any:
+        """The key that a parameter comes on top of, by its value; None where there is none."""
+        keys = (key for key, made in ON_TOP.items() if parameter.startswith(made) and hasattr(self, key))
+        return next((getattr(self, key) for key in keys), None)
 
     @property
     def lead_s(self) -> float:
