@@ -165,10 +165,11 @@ class Learner:
         if self._is_fitted(able, heard):
             order, slow = self._memory.chosen
             point = likelihood.point(self._known(likelihood, order, slow), order[0], slow)
-            posterior = self._slow(likelihood, point, same=True)
-            lines = {} if posterior is None else posterior.lines
-            self._memory = replace(self._memory, heard=heard, lines=lines)
-            return AxisFit(likelihood, point, posterior, n)
+            if _is_usable(point):
+                posterior = self._slow(likelihood, point, same=True)
+                lines = {} if posterior is None else posterior.lines
+                self._memory = replace(self._memory, heard=heard, lines=lines)
+                return AxisFit(likelihood, point, posterior, n)
         # what is heard for the first time is half of it
         again = heard >= 2 * self._memory.grown
         fits = self._fits(likelihood, able, n, again)
@@ -229,7 +230,7 @@ class Learner:
                     like = min(below.values(), key=lambda point: point.value).theta if below else None
                     starts += with_slow_parts(likelihood, cold, p, 1, like) if slow and cold else cold
                 point = maximise(likelihood, starts, p, EFFORT.first_passes, slow, enough=enough)
-            if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
+            if _is_usable(point):
                 fits[order] = point
         return fits
 
@@ -294,3 +295,7 @@ class Learner:
         self._memory = LearnerMemory(
             thetas, gaps, smooth, lines, odds, chosen, memory.turn + 1, heard, grown, fitted=heard
         )
+
+
+def _is_usable(point: Point) -> bool:
+    return math.isfinite(point.value) and bool(np.all(np.isfinite(point.info)))

@@ -62,11 +62,10 @@ class LearningSchedule:
     Models come at once for all sensors at the ages `EARLY_S`, later as each listener counts its ticks. What a model
     took for certain cannot be taken back from the covariance: where the power at zero frequency of a new model is
     another one by more than `ANOTHER`, the beginning is done again as if the new models had been known; `beginning`
-    holds its inputs until the last of these ages. Elsewhere the filter goes on with the new
-    models. The beginning is done again `AGAIN_AFTER` of the age later: until then another filter may have come that
-    far. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
-    done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
-    minute at rest is little.
+    holds its inputs until the last of these ages. Elsewhere the filter goes on with the new models. The beginning is
+    done again `AGAIN_AFTER` of the age later: until then another filter may have come that far. Models of the inertial
+    unit at rest are adopted when they are found, and the beginning is not done again for them: they stand for the noise
+    of samples, and what the filter took for certain by it in the first minute at rest is little.
     """
 
     #: Models are adopted at these ages [s]: as soon as readings say more than the prior, and whenever there are four
