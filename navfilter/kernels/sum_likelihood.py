@@ -8,14 +8,34 @@ from navfilter.kernels.compiling.decorators import njit
 
 
 @njit(cache=True)
-def _powers(A, Q, most):
-    """Transitions over 1, 2, 4 ... up to `most` ticks, and the noise that comes in by then."""
-    transitions, noises, ticks = [A], [Q], 1
-    while 2 * ticks <= most:
-        ticks *= 2
-        noises.append(transitions[-1] @ noises[-1] @ transitions[-1].T + noises[-1])
-        transitions.append(transitions[-1] @ transitions[-1])
-    return transitions, noises
+def _times(A, B, out):
+    """A B into `out`."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            total = 0.0
+            for k in range(A.shape[0]):
+                total += A[i, k] * B[k, j]
+            out[i, j] = total
+
+
+@njit(cache=True)
+def _moved(A, P, noise, out, work):
+    """A P A' and the noise into `out`, which may be P."""
+    _times(A, P, work)
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            total = noise[i, j]
+            for k in range(A.shape[0]):
+                total += work[i, k] * A[j, k]
+            out[i, j] = total
+
+
+@njit(cache=True)
+def _double(A, Q, work):
+    """From the transition and noise of one tick, at 0, those of 2, 4, 8 ... ticks: A, Q (k, n, n)."""
+    for k in range(1, A.shape[0]):
+        _times(A[k - 1], A[k - 1], A[k])
+        _moved(A[k - 1], Q[k - 1], Q[k - 1], Q[k], work)
 
 
 @njit(cache=True)
@@ -28,14 +48,23 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
 
     The states go on from stretch to stretch beside a sum that begins at 0 in each; only sums correct them.
     """
-    n = F.shape[0]
-    move, sees, noise, cov = np.eye(n + 1), np.eye(n + 1), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
+    n, most = F.shape[0], 1
+    while 1 << most <= length:
+        most += 1
+    # without a reading, and with one: then the sum takes up what is read
+    moves, noises = np.zeros((2, most, n + 1, n + 1)), np.zeros((2, most, n + 1, n + 1))
+    sees, x, cov = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros((n + 1, n + 1))
+    then, work = np.empty(n + 1), np.empty((n + 1, n + 1))
+    moves[0, 0, n, n] = sees[n, n] = 1.0
     for i in range(n):
-        sees[n, i] = C[i]
+        sees[i, i], sees[n, i] = 1.0, C[i]
         for j in range(n):
-            move[i, j], noise[i, j], cov[i, j] = F[i, j], Q[i, j], P[i, j]
-    missing, known = _powers(move, noise, length), _powers(sees @ move, sees @ noise @ sees.T, length)
-    x, total, count, corrected = np.zeros(n + 1), 0.0, 0, 0
+            moves[0, 0, i, j], noises[0, 0, i, j], cov[i, j] = F[i, j], Q[i, j], P[i, j]
+    _times(sees, moves[0, 0], moves[1, 0])
+    _moved(sees, noises[0, 0], np.zeros((n + 1, n + 1)), noises[1, 0], work)
+    _double(moves[0], noises[0], work)
+    _double(moves[1], noises[1], work)
+    total, count, corrected = 0.0, 0, 0
     for first in range(0, y.size - length + 1, length):
         t, end, read, summed = first, first + length, 0, 0.0
         while t < end:
@@ -44,19 +73,27 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
                 summed += y[t] if is_read else 0.0
                 run, t = run + 1, t + 1
             read += run if is_read else 0
-            transitions, noises = known if is_read else missing
-            for k in range(len(transitions)):
+            which = 1 if is_read else 0
+            for k in range(most):
                 if run >> k & 1:
-                    x = transitions[k] @ x
-                    cov = transitions[k] @ cov @ transitions[k].T + noises[k]
+                    for i in range(n + 1):
+                        then[i] = 0.0
+                        for j in range(n + 1):
+                            then[i] += moves[which, k, i, j] * x[j]
+                    for i in range(n + 1):
+                        x[i] = then[i]
+                    _moved(moves[which, k], cov, noises[which, k], cov, work)
         if read:
             variance, e = cov[n, n] + read * r, summed - x[n]
             if corrected >= skipped:
                 total -= 0.5 * (e * e / variance + math.log(variance))
                 count += 1
-            gain = cov[:, n] / variance
-            x = x + gain * e
-            cov = cov - np.outer(gain, gain) * variance
+            for i in range(n + 1):
+                then[i] = cov[i, n] / variance
+                x[i] += then[i] * e
+            for i in range(n + 1):
+                for j in range(n + 1):
+                    cov[i, j] -= then[i] * then[j] * variance
             corrected += 1
         x[n] = 0.0
         for i in range(n + 1):
