@@ -1234,6 +1234,14 @@ def channel_scores(E, V, steps, clip, info, gradient):
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
 
 
+def matrix_product(A, B, out):
+    out[:] = A @ B
+
+
+def matrix_product_transposed(A, B, out):
+    out[:] = A @ B.T
+
+
 def slow_part(slow, log_sd, log_tau, rate_s, chain):
     """The cascade ``x' = -b x + b (the next one)``, its last driven by white noise."""
     b = rate_s / np.exp(log_tau)

@@ -106,8 +106,8 @@ def stationary(a, c, P):
     for _ in range(60):
         worst = 0.0
         top = 0.0
-        _product(A, P, T)
-        _product_transposed(T, A, B)
+        matrix_product(A, P, T)
+        matrix_product_transposed(T, A, B)
         for i in range(m):
             for j in range(m):
                 if not abs(B[i, j]) < 1e300:
@@ -117,7 +117,7 @@ def stationary(a, c, P):
                 top = max(top, abs(P[i, j]))
         if not worst > 1e-17 * top:
             return True
-        _product(A, A, T)
+        matrix_product(A, A, T)
         for i in range(m):
             for j in range(m):
                 A[i, j] = T[i, j]
@@ -125,7 +125,8 @@ def stationary(a, c, P):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _product(A, B, out):
+def matrix_product(A, B, out):
+    """A B, of square matrices, into `out`."""
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
             s = 0.0
@@ -135,8 +136,8 @@ def _product(A, B, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _product_transposed(A, B, out):
-    """``A B'``."""
+def matrix_product_transposed(A, B, out):
+    """A B' into `out`."""
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
             s = 0.0

@@ -26,8 +26,6 @@ from navfilter.timeseries.order_criterion import criterion
 __all__ = ["AxisFit", "Learner", "LearnerMemory"]
 
 Array = NDArray[np.float64]
-#: A smooth slow part that had less of the probability is not tried [1].
-UNLIKELY = 1e-4
 
 
 class AxisFit(NamedTuple):
@@ -106,7 +104,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, 1.0, ((0, 0), 0), 0, 0, 0, 0)
+        self._memory = LearnerMemory({}, {}, {}, {}, ((0, 0), 0), 0, 0, 0, 0)
 
     @property
     def memory(self) -> LearnerMemory:
@@ -249,7 +247,8 @@ class Learner:
     ) -> tuple[Point, tuple[Order, Point] | None]:
         """The best point, with a slow part of second order where that serves better; and what was tried for that."""
         found, lowest = fits[best], scores[best]
-        if self.prior is None or self._memory.smooth_odds < UNLIKELY:
+        lines = self._memory.lines
+        if self.prior is None or (lines and all(order < 2 for order, _ in lines)):
             return found, None
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
         young = self._memory.heard < self.window // 2
@@ -288,13 +287,10 @@ class Learner:
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
         order = (point.p, point.theta.size - 1 - point.p - 2 * bool(point.slow))
-        odds = 1.0 if posterior is None else float(posterior.weight[posterior.order == 2].sum())
         lines = {} if posterior is None else posterior.lines
         grown = heard if again else memory.grown
         chosen = order, point.slow
-        self._memory = LearnerMemory(
-            thetas, gaps, smooth, lines, odds, chosen, memory.turn + 1, heard, grown, fitted=heard
-        )
+        self._memory = LearnerMemory(thetas, gaps, smooth, lines, chosen, memory.turn + 1, heard, grown, fitted=heard)
 
 
 def _is_usable(point: Point) -> bool:

@@ -30,9 +30,7 @@ class LearnerMemory:
     smooth : dict of (p, q) to ndarray
         As `thetas`, with a slow part of second order: of the order that it was tried with last.
     lines : dict of (order, number of tau) to Line
-        Of the posterior of the slow part, see `SlowPosterior`.
-    smooth_odds : float
-        Probability of a slow part of second order.
+        Of the posterior of the slow part, see `SlowPosterior`: those that are possible.
     chosen : ((p, q), order of the slow part)
         The best estimate.
     turn : int
@@ -47,7 +45,6 @@ class LearnerMemory:
     scores: dict[Order, float]
     smooth: dict[Order, Array]
     lines: dict[tuple[int, int], Line]
-    smooth_odds: float
     chosen: tuple[Order, int]
     turn: int
     heard: int

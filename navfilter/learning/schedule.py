@@ -97,12 +97,11 @@ class LearningSchedule:
                 self.record_residuals(name)
         self.beginning = InputBuffer(tuple(vehicle.sensors)) if self.listeners else None
         #: Fixes that nothing is learnt of.
-        self.fixes = {
-            name
-            for name, sensor in vehicle.sensors.items()
-            if sensor.open_loop == open_loop_residual.POSITION and self.listeners and name not in self.listeners
-        }
+        self.fixes: set[str] = set()
         if self.listeners:
+            position = open_loop_residual.POSITION
+            self.fixes = {name for name, sensor in vehicle.sensors.items() if sensor.open_loop == position}
+            self.fixes -= set(self.listeners)
             self.worker.start()
         self._levels = self._present_levels()
 
@@ -295,7 +294,7 @@ class LearningSchedule:
         """
         if self.beginning is None:
             return math.inf
-        return self._hop_s + self.AGAIN_AFTER * self._age_s * (self.again is not None)
+        return self._hop_s if self.again is None else self._hop_s + self.AGAIN_AFTER * self._age_s
 
     @property
     def _age_s(self) -> float:
