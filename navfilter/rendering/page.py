@@ -84,9 +84,9 @@ class Scripts(NamedTuple):
 
 
 @cache
-def resource(name: str) -> str:
-    """Text of a file that lies beside this module."""
-    return (files("navfilter.rendering") / name).read_text(encoding="utf-8")
+def resource(name: str, package: str = "navfilter.rendering") -> str:
+    """Text of a file that lies in a package."""
+    return (files(package) / name).read_text(encoding="utf-8")
 
 
 def page(

@@ -109,7 +109,7 @@ class Instrument:
             {"figures": self._figures, "rows": self._rows, "names": self._names, "clock": about}, separators=(",", ":")
         )
         data = f'{_packed("library", library())}{_packed("figures", figures)}<output id="readout"></output>'
-        return Scripts((resource("instrument.js"),), library(), data)
+        return Scripts((resource("instrument.js", "navfilter.report"),), library(), data)
 
 
 @cache
