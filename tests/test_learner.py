@@ -105,8 +105,30 @@ def test_a_lower_maximum_of_few_readings_is_left_later(seed):
     likelihood = Likelihood(y, TACTICAL, 0.0, prior)
     unit = np.r_[np.zeros(6), likelihood.log_unit, likelihood.log_unit, 0.0]
     starts = [np.r_[ar, ma, np.log([truth.sd, sd * DEG, 60.0])] + unit for sd in (0.02, 0.1)]
-    found = likelihood.penalised([learner.memory.thetas[order] + unit], 4, 1)[0]
+    found = likelihood.penalised([learner.memory.thetas[*order, 1] + unit], 4, 1)[0]
     assert found - maximise(likelihood, starts, 4, 15, 1).value < 3.0
+
+
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_a_slow_part_does_not_stand_for_a_quick_error(seed):
+    """A slow part at its quickest tells readings of a quick error nearly as well as the pole does: what it may be
+    beforehand, unlikely and of any size, counts against it.
+    """
+    truth, prior = gauss_markov(1.0, 6.0), believing(1.5, 20.0, absent=0.95)
+    learner = Learner(ORDERS, 4000, TACTICAL, prior=prior)
+    learner.hop(series([truth], TACTICAL, 4000, seed))
+    *_, (kind, weight) = learner.memory.chosen.items()
+    assert kind[:2] == (1, 0) and weight > 0.9
+    tau_s = -PERIOD_S / math.log(-learner.memory.thetas[kind][0])
+    assert tau_s == pytest.approx(6.0, rel=0.35)
+
+
+def test_readings_that_scatter_less_than_the_drift_tell_nothing():
+    """Where the drift is the vehicle's own motion and no instrument's noise, the motion would be learnt as an error."""
+    y = series([gauss_markov(1.0, 2.0)], TACTICAL, 2000, 34)
+    for density, told in ((TACTICAL.density[0], True), (50.0, False)):
+        learner = Learner(ORDERS, 2000, Drift((density, *TACTICAL.density[1:]), PERIOD_S), prior=believing(1.0))
+        assert (learner.hop(y) is not None) == told
 
 
 def test_a_hop_tells_what_its_window_says(monkeypatch):
@@ -147,9 +169,9 @@ def test_it_goes_on_from_a_snapshot_to_the_last_bit(prior):
 
 
 def test_a_memory_of_other_orders_is_refused():
-    one = Learner(ORDERS, 1000, TACTICAL)
+    one = Learner(ORDERS, 1000, TACTICAL, prior=believing(1.0))
     one.hop(series([gauss_markov(1.0, 2.0)], TACTICAL, 1000, 17))
-    for other in (Learner(((3, 3),), 1000, TACTICAL), Learner(ORDERS, 1000, TACTICAL, prior=believing(1.0))):
+    for other in (Learner(((3, 3),), 1000, TACTICAL, prior=believing(1.0)), Learner(ORDERS, 1000, TACTICAL)):
         with pytest.raises(ValueError, match="cannot go on"):
             other.memory = one.memory
 

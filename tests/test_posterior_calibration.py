@@ -47,9 +47,9 @@ def ranks():
     seen, out = [], np.empty((DRAWS, len(HOPS_S)))
     whole = learner_module.learnt_from
 
-    def noted(likelihood, point, posterior, n):
-        seen.append(posterior)
-        return whole(likelihood, point, posterior, n)
+    def noted(likelihood, found, n):
+        seen.append(found)
+        return whole(likelihood, found, n)
 
     frequency = np.array([0.002])
     with pytest.MonkeyPatch.context() as patch:
@@ -63,9 +63,10 @@ def ranks():
             for k, hop_s in enumerate(HOPS_S):
                 end = round(hop_s / PERIOD_S)
                 learner.hop(y[max(0, end - WINDOW) : end], end - last)
-                last, posterior = end, seen[-1]
-                power = slow_psd(posterior.order, np.exp(posterior.log_sd), posterior.tau_s, frequency)[:, 0]
-                out[draw, k] = posterior.weight[power < true].sum()
+                last, out[draw, k] = end, 0.0
+                for _, posterior, weight in seen[-1]:
+                    power = slow_psd(posterior.order, np.exp(posterior.log_sd), posterior.tau_s, frequency)[:, 0]
+                    out[draw, k] += weight * posterior.weight[power < true].sum()
     return out
 
 

@@ -11,7 +11,7 @@ import navfilter as nf
 from navfilter.kernels.arma_likelihood import LANES, slow_part
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.moment_matching import nearest, slow_psd
-from navfilter.learning.slow_posterior import SlowPosterior, slow_posterior
+from navfilter.learning.slow_posterior import log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowNode, SlowPrior, slow_prior
 from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.models.navigation_drift import Drift
@@ -258,7 +258,7 @@ def test_what_cannot_become_good_enough_is_not_improved(fitted):
 @pytest.fixture(scope="module")
 def followed(fitted):
     likelihood, point = fitted
-    return slow_posterior(likelihood, point.theta, 0)
+    return slow_posterior(likelihood, point)
 
 
 def test_the_posterior_is_that_of_a_fine_grid(fitted, followed):
@@ -279,7 +279,7 @@ def test_the_posterior_is_that_of_a_fine_grid(fitted, followed):
 
 
 def test_parts_carry_the_mean_variance_and_the_mean_power(followed):
-    parts, (_, tau, mass, square) = followed.parts(), followed.moments.T
+    parts, (_, tau, mass, square) = nearest(followed.moments), followed.moments.T
     assert 1 <= len(parts) <= 2
     assert sum(part.sd**2 for part in parts) == pytest.approx(float(mass @ square), rel=1e-3)
     assert sum(part.sd**2 * part.tau_s for part in parts) == pytest.approx(float(mass @ (square * tau)), rel=1e-3)
@@ -298,8 +298,7 @@ def test_parts_carry_the_mean_variance_and_the_mean_power(followed):
     ],
 )
 def test_moments_become_one_or_two_processes(moments, expected):
-    nothing = np.zeros(0)
-    parts = SlowPosterior({}, nothing, nothing, nothing, nothing, np.array(moments, float)).parts()
+    parts = nearest(np.array(moments, float))
     assert [part.order for part in parts] == [part.order for part in expected]
     for part, other in zip(parts, expected, strict=True):
         # one in ten million of 900 s still counts at zero frequency
@@ -372,7 +371,7 @@ def test_on_average_a_slow_error_is_as_large_as_the_file_says_of_the_whole():
 def test_without_evidence_the_posterior_is_the_prior(fitted, monkeypatch):
     likelihood, point = fitted
     monkeypatch.setattr(likelihood, "lines", lambda *asked: np.zeros(len(asked[-1])))
-    kind, tau, mass, square = slow_posterior(likelihood, point.theta, 0).moments.T
+    kind, tau, mass, square = slow_posterior(likelihood, point).moments.T
     prior = np.array(
         [
             math.exp(PRIOR.log_density(int(order), math.log(PRIOR.median * PRIOR.sd), math.log(t)))
@@ -393,7 +392,8 @@ def test_the_odds_of_no_slow_part_are_prior_odds_times_a_ratio_of_likelihoods():
     y = 0.2 * np.random.default_rng(7).standard_normal(600)
     likelihood = Likelihood(y, DRIFT, 0.0, prior)
     fast = np.array([math.log(0.2) + likelihood.log_unit])
-    found = slow_posterior(likelihood, np.r_[fast, math.log(0.05) + likelihood.log_unit, math.log(20.0)], 0)
+    theta = np.r_[fast, math.log(0.05) + likelihood.log_unit, math.log(20.0)]
+    found = slow_posterior(likelihood, likelihood.point(theta, 0, 1))
     # on the nodes of tau that `follow` has, and a fine grid of sd; a lognormal on equal steps is its own integral
     log_sd, log_tau = np.linspace(*np.log(prior.sd_limits), 400), np.log(prior.taus_s)
     value = np.array(
@@ -412,6 +412,23 @@ def test_the_odds_of_no_slow_part_are_prior_odds_times_a_ratio_of_likelihoods():
     assert found.moments[:, 2].sum() == pytest.approx(expected, rel=0.1)
     assert 0.01 < expected < 0.5 * (1.0 - prior.absent)
     assert found.weight.sum() == pytest.approx(1.0)
+
+
+def test_the_evidence_of_an_order_is_the_integral_over_its_slow_part(fitted):
+    """Laplace's approximation at the maximum, against sums over a fine grid beside the same fast part: half a nat."""
+    likelihood, point = fitted
+    point = maximise(likelihood, [point.theta], 0, 20, 1)
+    log_sd, log_tau = np.linspace(*np.log(PRIOR.sd_limits), 300), np.linspace(*np.log(PRIOR.taus_s[[0, -1]]), 60)
+    rows = np.array([[*point.theta[:-2], u + likelihood.log_unit, t] for t in log_tau for u in log_sd])
+    believed = np.array([PRIOR.log_density(1, u, t) for t in log_tau for u in log_sd])
+    values = -likelihood.standardised(rows, 0, 1)[0]
+    cell = (log_sd[1] - log_sd[0]) * (log_tau[1] - log_tau[0])
+    # the prior is cut off at the ends of the correlation time: the nodes' sum times their distance is its mass
+    mass = math.exp(PRIOR.log_mass) * math.log(2.0)
+    both = np.exp(values + believed - values.max()).sum() * cell * (1.0 - PRIOR.absent) / mass
+    assert -point.value + log_share(likelihood, point) == pytest.approx(values.max() + math.log(both), abs=0.5)
+    none = maximise(likelihood, [point.theta[:-2]], 0, 20, 0)
+    assert log_share(likelihood, none) == pytest.approx(math.log(PRIOR.absent))
 
 
 # ---------------------------------------------------------------------- spectrum

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import softmax
 
 from navfilter.learning.initial_values import cold_starts, grown_starts, padded_starts, with_slow_parts
-from navfilter.learning.learned_model import LearnedModel, learnt_from
-from navfilter.learning.learner_memory import LearnerMemory, Order
+from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
+from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_posterior import SlowPosterior, slow_posterior
+from navfilter.learning.slow_posterior import Line, Place, log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
@@ -26,6 +27,8 @@ from navfilter.timeseries.order_criterion import criterion
 __all__ = ["AxisFit", "Learner", "LearnerMemory"]
 
 Array = NDArray[np.float64]
+#: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).
+LEAST_WEIGHT = 0.1
 
 
 class AxisFit(NamedTuple):
@@ -34,24 +37,23 @@ class AxisFit(NamedTuple):
     Attributes
     ----------
     likelihood : Likelihood
-    point : Point
-        The fast part, beside the slow one where the learner has a prior of that.
-    posterior : SlowPosterior or None
+    found : tuple of Found
+        The hypothesis that there is no quick colour, before the likeliest other; or one of them alone.
     n : int
         Samples that count.
     """
 
     likelihood: Likelihood
-    point: Point
-    posterior: SlowPosterior | None
+    found: tuple[Found, ...]
     n: int
 
 
 class Learner:
     """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
 
-    The error is a slow part beside a fast ARMA part. The fast part is fitted with the slow one, for each order; the
-    orders are weighed by BIC. Of the slow part there is a posterior: one model with its mean covariance is handed out.
+    The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
+    without; orders are weighed by BIC, with the slow part integrated out. Of that there is a posterior. One model is
+    handed out, with the mean spectrum of white and coloured fast parts and the mean covariance of slow ones.
     What the data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
     estimates are known, from which it begins.
 
@@ -104,7 +106,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, ((0, 0), 0), 0, 0, 0, 0)
+        self._memory = LearnerMemory({}, {}, {}, {}, 0, 0, 0, 0)
 
     @property
     def memory(self) -> LearnerMemory:
@@ -113,11 +115,11 @@ class Learner:
 
     @memory.setter
     def memory(self, memory: LearnerMemory) -> None:
-        extra = 0 if self.prior is None else 2
-        for order, theta in memory.thetas.items():
-            if order not in self.orders or theta.shape != (sum(order) + 1 + extra,):
+        for kind, theta in memory.thetas.items():
+            extra = 2 * bool(kind[2])
+            if kind[:2] not in self.orders or theta.size != sum(kind[:2]) + 1 + extra or (extra and not self.prior):
                 raise ValueError(
-                    f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}."
+                    f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of {kind[:2]}."
                 )
         self._memory = memory
 
@@ -142,7 +144,9 @@ class Learner:
             For a series that is not one-dimensional.
         """
         found = self.look(series, fresh)
-        return None if found is None else mixed(learnt_from(*found), found.posterior, found.likelihood, self.described)
+        if found is None:
+            return None
+        return mixed(*learnt_from(*found), found.likelihood, self.described)
 
     def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
         """What a hop finds in the series, see there."""
@@ -151,146 +155,170 @@ class Learner:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
         y = np.where(np.abs(y) <= WILDEST, y, np.nan)[-self.window :]
         n = int(np.isfinite(y).sum())
-        able = [order for order in self.orders if n - self.drift.order >= max(LEAST, PER_PARAMETER * (sum(order) + 1))]
+        able = [
+            (p, q, slow)
+            for p, q in self.orders
+            for slow in (0, 1)[: 1 + (self.prior is not None)]
+            if n - self.drift.order >= max(LEAST, PER_PARAMETER * (p + q + 1))
+        ]
         if not able:
             return None
         try:
             likelihood = Likelihood(y, self.drift, self.white, self.prior)
         except ValueError:
             return None
+        # a drift that scatters by more than the readings do is not that of the instruments: it hides the sensor's error
+        if self.drift.order and np.nanmean(np.diff(likelihood.y) ** 2) < likelihood.chain[1, 0, 0]:
+            return None
         fresh = y.size if fresh is None else fresh
         heard = fresh + self._memory.heard
         if self._is_fitted(able, heard):
-            order, slow = self._memory.chosen
-            point = likelihood.point(self._known(likelihood, order, slow), order[0], slow)
-            if _is_usable(point):
-                posterior = self._slow(likelihood, point, same=True)
-                lines = {} if posterior is None else posterior.lines
-                self._memory = replace(self._memory, heard=heard, lines=lines)
-                return AxisFit(likelihood, point, posterior, n)
+            found = tuple(
+                self._found(likelihood, kind, likelihood.point(self._known(likelihood, kind), kind[0], kind[2]), weight)
+                for kind, weight in self._memory.chosen.items()
+            )
+            if all(_is_usable(one.point) for one in found):
+                self._memory = replace(self._memory, heard=heard, lines=_lines(self._memory.chosen, found))
+                return AxisFit(likelihood, found, n)
         # what is heard for the first time is half of it
         again = heard >= 2 * self._memory.grown
         fits = self._fits(likelihood, able, n, again)
         if not fits:
             return None
-        scores = {order: self._score(point, n) for order, point in fits.items()}
-        best = min(scores, key=lambda order: scores[order])
-        point, tried = self._smooth(likelihood, fits, scores, best, n)
-        posterior = self._slow(likelihood, point)
-        self._keep(likelihood, fits, scores, point, posterior, heard, again, tried)
-        return AxisFit(likelihood, point, posterior, n)
+        fits |= self._smooth(likelihood, fits, n)
+        chosen = self._weighed({kind: self._score(likelihood, point, n) for kind, point in fits.items()})
+        found = tuple(self._found(likelihood, kind, fits[kind], weight, new=True) for kind, weight in chosen.items())
+        self._keep(likelihood, fits, chosen, found, heard, again, n)
+        return AxisFit(likelihood, found, n)
 
-    def _slow(self, likelihood: Likelihood, point: Point, same: bool = False) -> SlowPosterior | None:
-        """The posterior of the slow part beside the fast one of a point, which may be the `same` as before."""
-        if self.prior is None:
-            return None
-        return slow_posterior(likelihood, point.theta, point.p, self._memory.lines, same)
+    def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
+        """The most probable kind without quick colour, then the most probable other, and how probable; one alone where
+        the other is not by `LEAST_WEIGHT`.
+        """
+        best = [
+            min(some, key=lambda kind: scores[kind])
+            for coloured in (False, True)
+            if (some := [kind for kind in scores if any(kind[:2]) == coloured])
+        ]
+        weights = softmax([-scores[kind] for kind in best]).tolist()
+        if min(weights) < LEAST_WEIGHT:
+            return {best[int(np.argmax(weights))]: 1.0}
+        return dict(zip(best, weights, strict=True))
 
-    def _is_fitted(self, able: list[Order], heard: int) -> bool:
+    def _found(self, likelihood: Likelihood, kind: Kind, point: Point, weight: float, new: bool = False) -> Found:
+        """With the posterior of the slow part, beside a `new` fast one or the same as before."""
+        if self.prior is None or not _is_usable(point):
+            return Found(point, None, weight)
+        lines = self._memory.lines
+        known = lines.get(kind) if not new or kind in lines else next(iter(lines.values()), None)
+        return Found(point, slow_posterior(likelihood, point, known, not new), weight)
+
+    def _is_fitted(self, able: list[Kind], heard: int) -> bool:
         """Whether the fast part stays as it is, for some of what it was fitted to is in the window still."""
         memory = self._memory
-        known = memory.heard >= self.window // 2 and all(order in memory.scores for order in able)
+        known = memory.heard >= self.window // 2 and all(kind in memory.scores for kind in able)
         return known and heard < memory.fitted + self.window
 
-    def _known(self, likelihood: Likelihood, order: Order, slow: int) -> Array:
+    def _known(self, likelihood: Likelihood, kind: Kind) -> Array:
         """An earlier estimate, in the unit of a likelihood."""
-        theta = (self._memory.smooth if slow == 2 else self._memory.thetas)[order].copy()
-        at = sum(order)
-        theta[at : at + 1 + bool(slow)] += likelihood.log_unit
-        confined: Array = likelihood.confine([theta], order[0], slow)[0]
+        p, q, slow = kind
+        theta = self._memory.thetas[kind].copy()
+        theta[p + q : p + q + 1 + bool(slow)] += likelihood.log_unit
+        confined: Array = likelihood.confine([theta], p, slow)[0]
         return confined
 
-    def _score(self, point: Point, n: int) -> float:
-        """Half of BIC; the slow part is there for every order."""
-        fast = point.theta.size - 2 * bool(point.slow)
-        return point.value + 0.5 * criterion("bic", 0.0, fast, n)
-
-    def _fits(self, likelihood: Likelihood, able: list[Order], n: int, again: bool) -> dict[Order, Point]:
-        """The orders whose turn it is, each from its last estimate; large ones also from smaller ones, `again` and
-        again: what was found of few readings may be near a lower maximum, and a step never leaves it.
+    def _score(self, likelihood: Likelihood, point: Point, n: int) -> float:
+        """Minus the log of how probable it is beforehand and makes the readings: the fast part by half of BIC, the
+        slow one integrated out.
         """
-        memory, slow = self._memory, 0 if self.prior is None else 1
-        fits: dict[Order, Point] = {}
-        for order in self._ration(able):
-            known, (p, q) = memory.thetas.get(order), order
-            # what it costs to be larger comes off what an order may be worth
-            best = min((self._score(point, n) for point in fits.values()), default=math.inf)
-            enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n)
-            below = {k: point for k, point in fits.items() if k[0] <= p and k[1] <= q}
-            if known is not None:
-                grown = grown_starts(likelihood, below, p, q) if again and p + q > EFFORT.one_maximum else []
-                starts = [self._known(likelihood, order, slow), *(grown or padded_starts(likelihood, below, p, q))]
-                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, 2 if grown else 1, enough)
-            else:
-                starts = [*padded_starts(likelihood, below, p, q), *grown_starts(likelihood, below, p, q)]
-                if p + q <= 2 or not starts:
-                    cold = cold_starts(likelihood, p, q)
-                    like = min(below.values(), key=lambda point: point.value).theta if below else None
-                    starts += with_slow_parts(likelihood, cold, p, 1, like) if slow and cold else cold
-                point = maximise(likelihood, starts, p, EFFORT.first_passes, slow, enough=enough)
-            if _is_usable(point):
-                fits[order] = point
+        fast = point.theta.size - 2 * bool(point.slow)
+        return point.value + 0.5 * criterion("bic", 0.0, fast, n) - log_share(likelihood, point)
+
+    def _fits(self, likelihood: Likelihood, able: list[Kind], n: int, again: bool) -> dict[Kind, Point]:
+        """The orders whose turn it is, without a slow part and beside one of first order, each from its last estimate;
+        `again` and again from smaller ones: what was found of few readings may be near a lower maximum, and a step
+        never leaves it.
+        """
+        memory, fits = self._memory, dict[Kind, Point]()
+        best, shares = math.inf, [0.0, 0.0]
+        for p, q, slow in self._ration(able):
+            below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
+            # what it costs to be larger, and a slow part, comes off what an order may be worth
+            enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n) + shares[slow]
+            known = (p, q, slow) in memory.thetas
+            starts = [self._known(likelihood, (p, q, slow))] if known else []
+            starts += padded_starts(likelihood, below, p, q)
+            if slow and (again or not known) and (p, q, 0) in fits:
+                starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
+            elif not slow and (again or not known):
+                starts += grown_starts(likelihood, below, p, q)
+                if not known and (p + q <= 2 or not starts):
+                    starts += cold_starts(likelihood, p, q)
+            passes, race = (EFFORT.late_passes, 1 + again) if known else (EFFORT.first_passes, 2)
+            point = maximise(likelihood, starts, p, passes, slow, race, enough) if starts else None
+            if point is not None and _is_usable(point):
+                fits[p, q, slow] = point
+                best = min(best, self._score(likelihood, point, n))
+                shares[slow] = log_share(likelihood, point)
         return fits
 
-    def _ration(self, able: list[Order]) -> list[Order]:
-        """The orders to fit: all while the window fills, then the two best, and one of the others in turn."""
+    def _ration(self, able: list[Kind]) -> list[Kind]:
+        """What to fit: all while the window fills, then the two best, and one of the others in turn."""
         memory = self._memory
-        if memory.heard < self.window // 2 or any(order not in memory.scores for order in able):
+        if memory.heard < self.window // 2 or any(kind not in memory.scores for kind in able):
             return able
-        ranked = sorted(able, key=lambda order: (memory.scores[order], sum(order)))
+        ranked = sorted(able, key=lambda kind: (memory.scores[kind], sum(kind)))
         others = sorted(ranked[2:])
         turn = [others[memory.turn % len(others)]] if others else []
-        return sorted([*ranked[:2], *turn], key=lambda pq: (sum(pq), pq))
+        return sorted([*ranked[:2], *turn], key=lambda kind: (sum(kind[:2]), kind))
 
-    def _smooth(
-        self, likelihood: Likelihood, fits: dict[Order, Point], scores: dict[Order, float], best: Order, n: int
-    ) -> tuple[Point, tuple[Order, Point] | None]:
-        """The best point, with a slow part of second order where that serves better; and what was tried for that."""
-        found, lowest = fits[best], scores[best]
-        lines = self._memory.lines
-        if self.prior is None or (lines and all(order < 2 for order, _ in lines)):
-            return found, None
+    def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], n: int) -> dict[Kind, Point]:
+        """An order beside a slow part of second order."""
+        memory = self._memory
+        first = [kind for kind in fits if kind[2]]
+        if not first or (memory.lines and all(order < 2 for of in memory.lines.values() for order, _ in of)):
+            return {}
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
-        young = self._memory.heard < self.window // 2
+        young, second = memory.heard < self.window // 2, [kind for kind in memory.thetas if kind[2] == 2]
+        best = min(first, key=lambda kind: self._score(likelihood, fits[kind], n))
         starts = [
-            (order, with_slow_parts(likelihood, [likelihood.fast(fits[order].theta, 1)], order[0], 2)[0])
-            for order in ({best, min(fits)} if young or not self._memory.smooth else {min(fits)})
+            (kind[:2], with_slow_parts(likelihood, [likelihood.fast(fits[kind].theta, 1)], kind[0], 2)[0])
+            for kind in ({best, min(first)} if young or not second else {min(first)})
         ]
-        starts += [(order, self._known(likelihood, order, 2)) for order in self._memory.smooth]
+        starts += [(kind[:2], self._known(likelihood, kind)) for kind in second]
         values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
-        order, start = starts[int(np.argmin(values))]
-        point = maximise(likelihood, [start], order[0], EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
-        if not math.isfinite(point.value):
-            return found, None
-        return (point if self._score(point, n) < lowest else found), (order, point)
+        (p, q), start = starts[int(np.argmin(values))]
+        point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
+        return {(p, q, 2): point} if _is_usable(point) else {}
 
     def _keep(
         self,
         likelihood: Likelihood,
-        fits: dict[Order, Point],
-        scores: dict[Order, float],
-        point: Point,
-        posterior: SlowPosterior | None,
+        fits: dict[Kind, Point],
+        chosen: dict[Kind, float],
+        found: tuple[Found, ...],
         heard: int,
         again: bool,
-        tried: tuple[Order, Point] | None,
+        n: int,
     ) -> None:
-        memory, slow = self._memory, 0 if self.prior is None else 1
-
-        def kept(order: Order, point: Point) -> Array:
-            theta = point.theta.copy()
-            theta[sum(order) : sum(order) + 1 + slow] -= likelihood.log_unit
-            return theta
-
-        thetas = {**memory.thetas, **{order: kept(order, point) for order, point in fits.items()}}
-        smooth = {} if tried is None else {tried[0]: kept(*tried)}
+        memory, scores = self._memory, dict[Kind, float]()
+        # of the smooth ones the one that was tried last
+        thetas = {kind: theta for kind, theta in memory.thetas.items() if kind[2] < 2}
+        for (p, q, slow), point in fits.items():
+            thetas[p, q, slow] = theta = point.theta.copy()
+            theta[p + q : p + q + 1 + bool(slow)] -= likelihood.log_unit
+            scores[p, q, slow] = self._score(likelihood, point, n)
         lowest = min(scores.values())
-        gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
-        order = (point.p, point.theta.size - 1 - point.p - 2 * bool(point.slow))
-        lines = {} if posterior is None else posterior.lines
+        gaps = {**memory.scores, **{kind: score - lowest for kind, score in scores.items()}}
+        lines = _lines(chosen, found)
         grown = heard if again else memory.grown
-        chosen = order, point.slow
-        self._memory = LearnerMemory(thetas, gaps, smooth, lines, chosen, memory.turn + 1, heard, grown, fitted=heard)
+        self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
+
+
+def _lines(chosen: Iterable[Kind], found: Sequence[Found]) -> dict[Kind, dict[Place, Line]]:
+    """What is remembered of posteriors."""
+    both = zip(chosen, found, strict=True)
+    return {kind: one.posterior.lines for kind, one in both if one.posterior is not None}
 
 
 def _is_usable(point: Point) -> bool:

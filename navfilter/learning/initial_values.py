@@ -70,13 +70,8 @@ def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
     return _matched(likelihood, shapes, p) if shapes else []
 
 
-def with_slow_parts(
-    likelihood: Likelihood, fasts: Sequence[Array], p: int, slow: int = 1, like: Array | None = None
-) -> list[Array]:
-    """Each of ``[ar, ma, ln sd]``, or with a smaller sd, with the slow part that serves best, of a few; needs a prior.
-
-    With the estimate `like` of another order, its slow part is tried, as large and half as large.
-    """
+def with_slow_parts(likelihood: Likelihood, fasts: Sequence[Array], p: int, slow: int = 1) -> list[Array]:
+    """Each of ``[ar, ma, ln sd]`` with the slow part that serves best, of a few; needs a prior."""
     prior = likelihood.prior
     assert prior is not None
     parts = [
@@ -84,16 +79,7 @@ def with_slow_parts(
         for share in SLOW_SDS
         for node in SLOW_NODES
     ]
-    if like is not None:
-        parts = [(like[-2] - less, like[-1]) for less in (0.0, math.log(2.0))]
-    nodes = np.array(
-        [
-            [*fast[:-1], fast[-1] - less, *part]
-            for fast in fasts
-            for less in ((0.0, 1.5, 3.0) if slow == 1 else (0.0,))
-            for part in parts
-        ]
-    )
+    nodes = np.array([[*fast, *part] for fast in fasts for part in parts])
     values = likelihood.penalised(nodes, p, slow).reshape(len(fasts), -1)
     return [of[best] for of, best in zip(np.split(nodes, len(fasts)), values.argmin(axis=1), strict=True)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from navfilter.learning.likelihood import Likelihood, Point
-from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.moment_matching import nearest, slow_psd
 from navfilter.learning.slow_posterior import SlowPosterior
-from navfilter.models.error_models import ErrorModel
+from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.spectrum import Spectrum, log_spread
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["LearnedModel", "fast_model", "learnt_from"]
+__all__ = ["Found", "LearnedModel", "learnt_from"]
 
 Array = NDArray[np.float64]
 
@@ -43,38 +44,58 @@ class LearnedModel(NamedTuple):
     spectrum: Spectrum
 
 
-def fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
+class Found(NamedTuple):
+    """One hypothesis of what a series is: its fast part, the posterior of the slow one beside it, and how probable."""
+
+    point: Point
+    posterior: SlowPosterior | None
+    weight: float
+
+
+def learnt_from(likelihood: Likelihood, found: Sequence[Found], n: int) -> tuple[LearnedModel, Array]:
+    """What a hop hands out, in the unit of the series: the mean spectrum of at most two hypotheses, one of which has no
+    quick colour; and the moments of its slow part, see `SlowPosterior`.
+    """
+    models = [_fast_model(likelihood, one.point, n) for one in found]
+    shares = np.array([one.weight for one in found])
+    frequency = np.geomspace(0.5 / n, 0.5, Spectrum.POINTS) / likelihood.drift.period_s
+    densities = [_densities(likelihood, one, model, frequency) for one, model in zip(found, models, strict=True)]
+    weights = [share * weight for share, (_, weight) in zip(shares, densities, strict=True)]
+    spectrum = Spectrum.weighted(frequency, np.concatenate([each for each, _ in densities]), np.concatenate(weights))
+    moments = np.concatenate(
+        [one.posterior.moments * [1.0, 1.0, one.weight, 1.0] for one in found if one.posterior is not None]
+        or [np.empty((0, 4))]
+    )
+    fast, share = models[-1], float(shares[-1])
+    slow: tuple[ErrorModel, ...] = nearest(moments)
+    if len(found) > 1:
+        slow = (*slow, White(math.sqrt(1.0 - share) * models[0].sd))
+    sd = fast.sd * math.sqrt(share)
+    model = ArmaModel(fast.ar, fast.ma, sd, fast.covariance, spectrum.sd_log_s0, fast.effective_window)
+    return LearnedModel(model, slow, spectrum), moments
+
+
+def _fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
     """The fast part of a point, in the unit of the series."""
     p, fast = point.p, likelihood.fast(point.theta, point.slow)
     covariance = point.covariance[: fast.size - 1, : fast.size - 1]
     return ArmaModel(fast[:p], fast[p:-1], math.exp(fast[-1]) / likelihood.unit, covariance, None, float(n))
 
 
-def learnt_from(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> LearnedModel:
-    """What a hop hands out, in the unit of the series."""
-    model, fast = fast_model(likelihood, point, n), likelihood.fast(point.theta, point.slow)
-    k = fast.size
-    given_slow = np.asarray(np.linalg.inv(point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
-    spectrum = _spectrum(model, given_slow, posterior, likelihood.drift.period_s, n)
-    slow = () if posterior is None else posterior.parts()
-    sd = spectrum.sd_log_s0
-    return LearnedModel(
-        ArmaModel(model.ar, model.ma, model.sd, model.covariance, sd, model.effective_window), slow, spectrum
-    )
-
-
-def _spectrum(
-    model: ArmaModel, covariance: Array, posterior: SlowPosterior | None, period_s: float, n: int
-) -> Spectrum:
-    """Of the whole error: the fast part as far as it is known given the slow one, and that over its posterior."""
-    frequency = np.geomspace(0.5 / (n * period_s), 0.5 / period_s, Spectrum.POINTS)
+def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency: Array) -> tuple[Array, Array]:
+    """Spectra of the whole error, and their weights: the fast part as far as it is known given the slow one, and that
+    over its posterior.
+    """
+    period_s, k = likelihood.drift.period_s, model.p + model.q + 1
+    covariance = np.asarray(np.linalg.inv(found.point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
     spread = log_spread(model.ar, model.ma, covariance, 2.0 * np.pi * frequency * period_s)
     # beyond twenty powers of e nothing is known
     fast = model.spectrum(frequency, 1.0 / period_s) * np.exp(np.clip(np.outer(ALIKE, spread), -20.0, 20.0))
+    posterior = found.posterior
     if posterior is None:
-        return Spectrum.weighted(frequency, fast, np.full(len(ALIKE), 1.0 / len(ALIKE)))
+        return fast, np.full(len(ALIKE), 1.0 / len(ALIKE))
     kept = posterior.weight > 1e-6 * posterior.weight.max()
     weight = posterior.weight[kept] / posterior.weight[kept].sum()
     slow = slow_psd(posterior.order[kept], np.exp(posterior.log_sd[kept]), posterior.tau_s[kept], frequency)
     both = (fast[:, None] + slow[None]).reshape(-1, frequency.size)
-    return Spectrum.weighted(frequency, both, np.tile(weight, len(ALIKE)) / len(ALIKE))
+    return both, np.tile(weight, len(ALIKE)) / len(ALIKE)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from navfilter.learning.slow_posterior import Line
 
-__all__ = ["LearnerMemory", "Order", "memories", "recall"]
+__all__ = ["Kind", "LearnerMemory", "Order", "memories", "recall"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
+#: AR and MA order of a fast part, and order of the slow part beside it, 0 without one.
+Kind = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -23,16 +25,15 @@ class LearnerMemory:
 
     Attributes
     ----------
-    thetas : dict of (p, q) to ndarray
-        Estimates of every order that has been fitted, in the unit of the series; see `Likelihood`.
-    scores : dict of (p, q) to float
-        Half the BIC above that of the best, when fitted last.
-    smooth : dict of (p, q) to ndarray
-        As `thetas`, with a slow part of second order: of the order that it was tried with last.
-    lines : dict of (order, number of tau) to Line
-        Of the posterior of the slow part, see `SlowPosterior`: those that are possible.
-    chosen : ((p, q), order of the slow part)
-        The best estimate.
+    thetas : dict of (p, q, order of the slow part) to ndarray
+        Estimates of all that has been fitted, in the unit of the series; see `Likelihood`. With a slow part of second
+        order that of the order that it was tried with last.
+    scores : dict of (p, q, order of the slow part) to float
+        Log of how much less probable than the best, when fitted last.
+    chosen : dict of (p, q, order of the slow part) to float
+        The most probable, and how probable: at most two.
+    lines : dict of the same to dict of (order, number of tau) to Line
+        Of the posteriors of their slow parts, see `SlowPosterior`: those that are possible.
     turn : int
         Turns of the orders that are not among the best.
     heard : int
@@ -41,11 +42,10 @@ class LearnerMemory:
         As `heard`, when the larger orders were last begun from smaller ones, and when orders were fitted last.
     """
 
-    thetas: dict[Order, Array]
-    scores: dict[Order, float]
-    smooth: dict[Order, Array]
-    lines: dict[tuple[int, int], Line]
-    chosen: tuple[Order, int]
+    thetas: dict[Kind, Array]
+    scores: dict[Kind, float]
+    chosen: dict[Kind, float]
+    lines: dict[Kind, dict[tuple[int, int], Line]]
     turn: int
     heard: int
     grown: int

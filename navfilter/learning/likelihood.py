@@ -79,7 +79,10 @@ class Likelihood:
         self.drift, self.prior = drift, prior
         self.chain = drift_chain(drift, self.unit)
         r = self.chain.shape[1]
-        self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in range(3)]
+        # the kernel is written out for chains with a slow part: in its place stands a state that is always zero
+        idle = np.pad(self.chain, ((0, 0), (0, 1), (0, 1)))
+        self._chains = idle, self.chain, self.chain
+        self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in (1, 1, 2)]
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
@@ -130,7 +133,7 @@ class Likelihood:
         self, rows: Array, p: int, slow: int, belief: Array, first: int = 0, E: Array = _UNWANTED, V: Array = _UNWANTED
     ) -> Array:
         values = np.empty(len(rows))
-        fixed = self.chain, self._sees[slow], self.rules
+        fixed = self._chains[slow], self._sees[slow], self.rules
         kernel.channel_values(self.y, rows, p, slow, *fixed, belief, first, E, V, values)
         return values
 
@@ -157,7 +160,7 @@ class Likelihood:
         if len(beside):
             rows[k + 1 :] = beside
         values, info, gradient = np.empty(len(rows)), np.empty((k, k)), np.empty(k)
-        fixed = self.chain, self._sees[slow], self.rules, self._beliefs[slow], _DIFFERENCES, *self._noted(k + 1)
+        fixed = self._chains[slow], self._sees[slow], self.rules, self._beliefs[slow], _DIFFERENCES, *self._noted(k + 1)
         kernel.channel_point(self.y, rows, p, slow, *fixed, values, info, gradient)
         return Point(theta, p, slow, float(values[0]), gradient, info), values[k + 1 :].tolist()
 

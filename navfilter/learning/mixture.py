@@ -20,7 +20,6 @@ from navfilter.kernels.sum_likelihood import sum_likelihood
 from navfilter.learning.learned_model import LearnedModel
 from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.moment_matching import nearest
-from navfilter.learning.slow_posterior import SlowPosterior
 from navfilter.models.error_models import (
     Block,
     ErrorModel,
@@ -87,15 +86,15 @@ def _sums(likelihood: Likelihood, block: Block) -> tuple[float, int]:
 
 
 def mixed(
-    learnt: LearnedModel, posterior: SlowPosterior | None, likelihood: Likelihood, described: Sequence[ErrorModel]
+    learnt: LearnedModel, moments: Array, likelihood: Likelihood, described: Sequence[ErrorModel]
 ) -> LearnedModel:
     """What is handed out of what was learnt and what was described.
 
     Parameters
     ----------
     learnt : LearnedModel
-    posterior : SlowPosterior or None
-        Of its slow part.
+    moments : ndarray, shape (m, 4)
+        Of its slow part, see `SlowPosterior`.
     likelihood : Likelihood
         Of the series that it was learnt from.
     described : sequence of ErrorModel
@@ -107,11 +106,11 @@ def mixed(
     blocks = [part.block(period_s) for part in described]
     own = joined_block([register_block(fast), *(part.block(period_s) for part in learnt.slow)])
     pi = described_share(likelihood, joined_block(blocks), own)
-    moments = [_moment(part, block, pi, period_s) for part, block in zip(described, blocks, strict=True) if block.size]
-    if posterior is not None:
-        moments += (posterior.moments * [1.0, 1.0, 1.0 - pi, 1.0]).tolist()
-    slow: tuple[ErrorModel, ...] = nearest(np.reshape(moments, (-1, 4)))
-    sd, white = fast.sd * math.sqrt(1.0 - pi), math.sqrt(pi * sum(block.r for block in blocks))
+    told = [_moment(part, block, pi, period_s) for part, block in zip(described, blocks, strict=True) if block.size]
+    both = np.concatenate([np.reshape(told, (-1, 4)), moments * [1.0, 1.0, 1.0 - pi, 1.0]])
+    slow: tuple[ErrorModel, ...] = nearest(both)
+    noise = sum(part.block(period_s).r for part in learnt.slow)
+    sd, white = fast.sd * math.sqrt(1.0 - pi), math.sqrt(pi * sum(block.r for block in blocks) + (1.0 - pi) * noise)
     if fast.p + fast.q == 0:
         sd, white = math.hypot(sd, white), 0.0
     if white:

@@ -19,8 +19,6 @@ class OptimiserSettings:
         Scoring passes of an order that was never fitted, while the window fills.
     late_passes : int
         The same later, when its turn comes.
-    one_maximum : int
-        An order with no more coefficients than this goes on from its last estimate alone.
     below_passes : int
         Passes of a lower order that only serves as a start.
     smooth_passes, late_smooth_passes : int
@@ -52,7 +50,6 @@ class OptimiserSettings:
 
     first_passes: int = 10
     late_passes: int = 3
-    one_maximum: int = 5
     below_passes: int = 8
     smooth_passes: int = 5
     late_smooth_passes: int = 3

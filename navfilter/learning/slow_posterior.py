@@ -15,12 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.learning.likelihood import Likelihood
-from navfilter.learning.moment_matching import nearest
+from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.slow_prior import SlowNode, SlowPrior
-from navfilter.models.error_models import GaussMarkov
 
-__all__ = ["Line", "SlowPosterior", "slow_posterior"]
+__all__ = ["Line", "Place", "SlowPosterior", "log_share", "slow_posterior"]
 
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
@@ -97,13 +95,23 @@ class SlowPosterior:
         best = int(np.argmax(self.weight))
         return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
 
-    def parts(self) -> tuple[GaussMarkov, ...]:
-        """At most two processes that stand for all: the mean covariance function is a sum over all nodes."""
-        return nearest(self.moments)
+
+def log_share(likelihood: Likelihood, point: Point) -> float:
+    """Log of what the penalised likelihood of a point is multiplied by where its slow part is integrated out
+    (Laplace's approximation), with the prior odds of a slow part that is there, or is not.
+    """
+    prior = likelihood.prior
+    if prior is None:
+        return 0.0
+    if not point.slow:
+        return math.log(max(prior.absent, 1e-300))
+    volume = math.sqrt(float(np.linalg.det(point.covariance[-2:, -2:])))
+    # nodes of the correlation time stand ln 2 apart
+    return math.log((1.0 - prior.absent) * 2.0 * math.pi * volume / math.log(2.0)) - prior.log_mass
 
 
 def slow_posterior(
-    likelihood: Likelihood, theta: Array, p: int, known: Mapping[Place, Line] | None = None, same: bool = False
+    likelihood: Likelihood, point: Point, known: Mapping[Place, Line] | None = None, same: bool = False
 ) -> SlowPosterior:
     """The posterior of the slow part, given the fast one.
 
@@ -111,10 +119,8 @@ def slow_posterior(
     ----------
     likelihood : Likelihood
         With a prior.
-    theta : ndarray
-        Fast and slow parameters: where to look.
-    p : int
-        Number of AR coefficients.
+    point : Point
+        With the fast part, and a slow one near which to look.
     known : dict of (order, number of tau) to Line, optional
         Those that were possible at an earlier hop: where to look rather.
     same : bool
@@ -122,7 +128,9 @@ def slow_posterior(
     """
     prior = likelihood.prior
     assert prior is not None
-    fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
+    fast, p, here = likelihood.fast(point.theta, point.slow), point.p, prior.centre
+    if point.slow:
+        here = float(point.theta[-2]) - likelihood.log_unit, float(point.theta[-1])
     lines: dict[Place, Line] = {}
     for order in (1, 2):
         searches: dict[Place, tuple[float, Search]] = {}
@@ -199,7 +207,7 @@ def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array
     totals = np.add.reduceat(shares, begins[:-1])
     tops += np.log(totals * SPACING * np.array([line.sd for line in lines.values()]))
     odds = prior.absent / (1.0 - prior.absent)
-    absent = prior.log_mass() + math.log(max(odds, 1e-300))
+    absent = prior.log_mass + math.log(max(odds, 1e-300))
     tops = np.where(order > 0, tops, evidence[begins[:-1]] + absent)
     return tops, shares / np.repeat(totals, sizes), begins
 

@@ -110,6 +110,7 @@ class SlowPrior:
         """ln sd and ln tau."""
         return math.log(self.median * self.sd), math.log(self.tau_s)
 
+    @cached_property
     def log_mass(self) -> float:
         """Of all nodes, with the constant that `log_density` is without."""
         off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
