@@ -8,6 +8,7 @@ from scipy import special
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from navfilter.kernels import strapdown as strapdown_kernels
 from navfilter.kernels.compiling import addresses
@@ -1317,7 +1318,8 @@ def judge_level(ear, nis, dof):
     """ear: kind, noted, capacity, due, factor, level, then the odds of seven levels."""
     levels, odds = 2.0 ** np.arange(7), ear[6:13]
     before = (1.0 - 4e-5) * odds + 4e-5 / 7
-    log = np.log(before) - 0.5 * (dof * np.log(levels) + ear[5] * min(nis, 9.0 * dof) / levels)
+    most = round(float(chi2.ppf(chi2.cdf(9.0, 1), dof)), 2)
+    log = np.log(before) - 0.5 * (dof * np.log(levels) + ear[5] * min(nis, most) / levels)
     odds[:] = np.exp(log - np.logaddexp.reduce(log))
 
 

@@ -70,14 +70,14 @@ def test_levels_by_bayes_rule():
         assert ours[0][open_loop_residual.ODDS : open_loop_residual.MOUNT].sum() == pytest.approx(1.0)
 
 
-def levels(scale, seed):
+def levels(scale, seed, dof=1):
     """In force after each reading, of white innovations of so many times the believed standard deviation."""
     heard, found = ear(np.random.default_rng(seed)), []
     odds = slice(open_loop_residual.ODDS, open_loop_residual.MOUNT)
     heard[odds], heard[open_loop_residual.DUE] = np.eye(len(open_loop_residual.LEVELS))[0], math.inf
-    for sd, e in zip(scale, np.random.default_rng(seed).standard_normal(len(scale)), strict=True):
+    for sd, e in zip(scale, np.random.default_rng(seed).standard_normal((len(scale), dof)), strict=True):
         level = heard[open_loop_residual.LEVEL]
-        if open_loop_residual.after_reading(heard, (sd * e) ** 2 / level, 1.0, 1, True):
+        if open_loop_residual.after_reading(heard, sd**2 * (e @ e) / level, float(dof), 1, True):
             heard[open_loop_residual.LEVEL] = heard[odds] @ open_loop_residual.LEVELS
         found.append(heard[open_loop_residual.LEVEL])
     return np.array(found)
@@ -93,7 +93,7 @@ def test_a_level_follows_at_once_and_comes_back():
         assert np.mean(found[2600:] > 2.0) < 0.01
         spike = np.ones(600)
         spike[500] = 100.0
-        assert levels(spike, seed)[500] == 1.0
+        assert all(levels(spike, seed, dof)[500] == 1.0 for dof in (1, 2, 3))
         assert np.all(levels(np.full(1000, 0.3), seed) == 1.0)
 
 

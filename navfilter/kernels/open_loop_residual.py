@@ -42,9 +42,9 @@ EAR = MOUNT + AXES + 9
 # The level changes from one reading to the next with this probability [1]: in 50 minutes at 8 Hz. Ten times as often,
 # it is changed four times as often, and errors are the same.
 CHANGES = 4e-5
-# A single reading counts up to this NIS per component where levels are told apart: three standard deviations of the
-# level in force, or a spike would be another level for a moment; and where fixes are judged [1].
-MOST, NIS_MOST = 9.0, 25.0
+# A single reading counts up to this NIS, of 1 to 6 components, where levels are told apart, or a spike would be another
+# level for a moment: as improbable as three standard deviations of one (chi-square); and where fixes are judged [1].
+MOST, NIS_MOST = (9.0, 11.83, 14.16, 16.25, 18.21, 20.06), 25.0
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -63,7 +63,7 @@ def judge_level(ear, nis, dof):
     as the level.
     """
     largest, total = -math.inf, 0.0
-    seen = ear[LEVEL] * min(nis, MOST * dof)
+    seen = ear[LEVEL] * min(nis, MOST[min(int(dof), len(MOST)) - 1])
     for k in range(len(LEVELS)):
         largest = max(largest, -0.5 * (dof * math.log(LEVELS[k]) + seen / LEVELS[k]))
     for k in range(len(LEVELS)):
