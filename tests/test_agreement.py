@@ -11,7 +11,7 @@ from feeding import once_a_second
 
 import navfilter as nf
 from navfilter.faults import policy, refusals, sensor_bias
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch
 from navfilter.models.fault_bias import (

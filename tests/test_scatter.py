@@ -10,7 +10,8 @@ from kernel_inputs import assert_close, random_nav, run_both, spd
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
-from navfilter.faults import allowed_change
+from navfilter.faults import noise_scale as scatter
+from navfilter.faults import sensor_bias
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.foundation.state_values import copied, differences
 from navfilter.kernels import noise_scale
@@ -118,7 +119,7 @@ def beyond(bends, white, slack=0.0):
 def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, north):
     """A sensor that gets noisy, jumps in unit, is lost for a while, is heard wrong, and gets quiet again."""
     rng, unit = np.random.default_rng(seed), 0.02 if north >= 0 else 1.0  # headings within half a turn
-    kept, facts = np.zeros(noise_scale.size(axes)), np.zeros(noise_scale.facts_size(axes))
+    kept, facts = np.zeros(scatter.size(axes)), np.zeros(scatter.facts_size(axes))
     facts[:4], facts[4 : 4 + 2 * axes] = (lasting, kind, 0.2, 0.02), unit**2 * rng.uniform(0.1, 1.0, 2 * axes)
     kept[noise_scale.TIME_S] = -math.inf
     Cr, P, nav = unit * rng.normal(size=(6, 5)) ** 2, unit * spd(rng, 14), random_nav(rng)
@@ -162,7 +163,7 @@ def test_what_drive_may_have_added_is_what_refused_readings_are_judged_by(sensor
     """The same stands in the kernel, whose twin this is, and in Python for readings that are refused together."""
     rng = np.random.default_rng(3)
     P, Cr = spd(rng, 14), rng.normal(size=(6, 5)) ** 2
-    once = allowed_change.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
+    once = sensor_bias.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
     assert once == pytest.approx(naive.may_have_gone(kind, P, 1.5, 0.4, Cr, 0.02), rel=1e-12)
 
 

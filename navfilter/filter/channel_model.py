@@ -50,6 +50,8 @@ class ChannelModel(NamedTuple):
         Of the gate, and the largest squares of the slow error that are still believed.
     slow : list of float
         Variance by axis of what its error states begin with.
+    step, most : ndarray, shape (axes,)
+        Variance by which its coloured error changes in a period, and by which it may differ at two times, by axis.
     content : ndarray
         What kernels are told of it, see `navfilter.kernels.batch`.
     ends : tuple of int
@@ -65,6 +67,8 @@ class ChannelModel(NamedTuple):
     deviations: tuple[Places, Array]
     limits: Array
     slow: list[float]
+    step: Array
+    most: Array
     content: Array
     ends: tuple[int, ...]
 
@@ -94,7 +98,9 @@ class ChannelModel(NamedTuple):
         bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
         offset, kernels = has_offset(sensor.models), (address(kernel, addresses.EQUATION), seen, 0, bent)
         limits = np.concatenate([gates, believed(sensor, group)])
-        slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
+        e, C = group.errors, group.C
+        P0, off = group.P0[:e, :e], group.Phi[:e, :e] - np.eye(e)
+        slow, step = C @ P0 @ C.T, C @ (off @ P0 @ off.T + group.Q[:e, :e]) @ C.T
         lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         facts = np.zeros(0) if sight is None else sight
@@ -104,13 +110,15 @@ class ChannelModel(NamedTuple):
         flowing = [(*one, axes) for one in currents(sensor.models, period_s)]
         each = *scaled, *zip(deviating, of_rad, strict=True), *flowing
         faults = np.concatenate([[len(scaled), len(of_rad), len(flowing)], *each])
-        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts, faults
+        parts = constants, np.zeros(3), model, C, R + lever, lever, R, limits, facts, faults
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),
             offset_states(sensor.models, period_s),
             (deviating, of_rad),
             limits,
             slow.diagonal().tolist(),
+            np.diag(step),
+            2.0 * np.diag(slow),
             np.concatenate([part.ravel() for part in parts]),
             (0, *accumulate(part.size for part in parts)),
         )

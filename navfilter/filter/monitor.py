@@ -98,12 +98,15 @@ class Monitor(Protocol):
         It looks for jumps of the unit's biases, reading by reading.
     in_batches : bool
         Whether a kernel may take readings in batches without asking for each.
+    has_pending : bool
+        The readings that were refused last have made something necessary, see `pending`.
     """
 
     counted: tuple[str, ...]
     sample_limits: Array
     cross_checks: bool
     in_batches: bool
+    has_pending: bool
 
     def initial_memory(self, filter: FilterState, memory: FilterMemory) -> Any:
         """Its memory before the first input; that of the filter has none yet."""
@@ -201,5 +204,5 @@ class Monitor(Protocol):
         ...
 
     def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
-        """Take what the filter has done; value: of the reading."""
+        """Take what the filter has done, where it `cross_checks`; value: of the reading."""
         ...

@@ -15,7 +15,7 @@ from navfilter.faults.imu.gyro_scale import GyroScaleTest
 from navfilter.faults.lane_selection import LaneChoiceMemory
 from navfilter.faults.memory import MonitorMemory, SensorFaults
 from navfilter.faults.noise_scale import NoiseScale
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault

@@ -291,7 +291,8 @@ class Navigator(NavigatorStatus):
     def on_event(self, event: Event, value: Array | None = None) -> None:
         """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
-        self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.on_event)
+        if self.filter.monitor.cross_checks:
+            self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.on_event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
 
