@@ -197,7 +197,8 @@ class FaultMonitor:
 
     def on_silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
-        yield from realignment.attend(filter, missing)
+        if missing or filter.memory.monitor.silent:
+            yield from realignment.attend(filter, missing)
 
     def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
         """Take what the filter has done; value: of the reading."""

@@ -246,7 +246,7 @@ class Navigator(NavigatorStatus):
         reading = Measurement(*reading[:4], *watch.on_arrival(reading.time_s, reading.value))
         outcome = self.correct_in_order(reading)
         self.early_rerun.buffer_input(reading)
-        watch.on_outcome(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
+        watch.on_outcome(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.memory.nav)
         return outcome
 
     def repeat_input(self, item: Array | Measurement) -> None:
@@ -279,10 +279,11 @@ class Navigator(NavigatorStatus):
             self.filter.propagate(item, self.on_event, self._room)
             self.change_count += bool(self.filter.memory.monitor.silent)
             return None
-        ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
-        if not ahead_s > self.filter.ahead_s:
-            self.early_rerun.before(item.time_s)
-        self.learning.buffer_input(item)
+        if self.learning.beginning is not None:
+            ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
+            if not ahead_s > self.filter.ahead_s:
+                self.early_rerun.before(item.time_s)
+            self.learning.buffer_input(item)
         self.filter.propagate_to(item.name, item.time_s, self.on_event)
         self.on_event(correction := self.filter.correct(item, self.on_event), item.value)
         self.filter.handle_pending(self.on_event)
