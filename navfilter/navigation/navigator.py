@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
+from navfilter.faults.memory import MonitorMemory
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome
@@ -32,7 +33,7 @@ from navfilter.navigation import snapshot as snapshots
 from navfilter.navigation.early_rerun import EarlyRerun
 from navfilter.navigation.history import History
 from navfilter.navigation.live_runner import prompt_sample, prompts
-from navfilter.navigation.memory import MEMORY, NavigatorMemory, check_watches
+from navfilter.navigation.memory import NavigatorMemory, check_watches
 from navfilter.navigation.status import NavigatorStatus, health_of, state_of
 from navfilter.navigation.waiting import MeasurementQueue
 
@@ -434,7 +435,7 @@ class Navigator(NavigatorStatus):
         OSError
             When the file cannot be read.
         """
-        saved = snapshots.read(vehicle, source, MEMORY)
+        saved = snapshots.read(vehicle, source, (NavigatorMemory, MonitorMemory))
         try:
             return cls._resumed(vehicle, saved)
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
