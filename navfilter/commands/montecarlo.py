@@ -116,7 +116,8 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
 def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
     from navfilter.evaluation.montecarlo.campaign import run_campaign
     from navfilter.evaluation.montecarlo.store import Store
-    from navfilter.evaluation.montecarlo.workers import available_cores, cluster, process_pool
+    from navfilter.evaluation.montecarlo.workers import cluster, process_pool
+    from navfilter.playback.warm_up import available_cores
 
     say = console.speaker(options.quiet)
     Store(folder, campaign.settings)  # refuses a folder of another campaign before any worker is started

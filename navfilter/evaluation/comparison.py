@@ -22,7 +22,7 @@ from navfilter.track.track import Track
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "number_text"]
 
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
@@ -169,16 +169,16 @@ class Comparison:
             if any(found):
                 rows.append([f"NEES {name}", *(_marked(f and f["mean"], f and f["band"]) for f in found)])
                 rows.append([f"{name} beyond 3 sigma [%]", *(_percent(f and f["outside_3_sigma"]) for f in found)])
-        rows.append(["NIS, mean of the sensors", *(_number(run["nis"], "{:.3f}") for run in self.runs.values())])
+        rows.append(["NIS, mean of the sensors", *(number_text(run["nis"], "{:.3f}") for run in self.runs.values())])
         for name in self._sensors():
             rows += self._sensor_rows(name)
-        rows.append(["processor time [s]", *(_number(run["cpu_s"], "{:.1f}") for run in self.runs.values())])
+        rows.append(["processor time [s]", *(number_text(run["cpu_s"], "{:.1f}") for run in self.runs.values())])
         return rows
 
     def _cells(self, key: str, form: str, ratio: bool) -> Iterator[str]:
         values = {label: run[key] for label, run in self.runs.items()}
         for label, value in values.items():
-            yield _number(value, form) + (self._ratio(label, values) if ratio else "")
+            yield number_text(value, form) + (self._ratio(label, values) if ratio else "")
 
     def _ratio(self, label: str, values: Mapping[str, float | None]) -> str:
         """The ratio to the baseline in brackets; nothing for the baseline itself."""
@@ -196,7 +196,7 @@ class Comparison:
         sensors = {label: run["sensors"].get(name) for label, run in self.runs.items()}
         unit = next(s["unit"] for s in sensors.values() if s)
         rms = {label: _rms_of_axes(s) for label, s in sensors.items()}
-        cells = [_number(rms[label], "{:.4g}") + self._ratio(label, rms) for label in sensors]
+        cells = [number_text(rms[label], "{:.4g}") + self._ratio(label, rms) for label in sensors]
         return [
             [f"{name}: NIS", *(_marked(s and s["nis"], s and s["band"]) for s in sensors.values())],
             [f"{name}: prediction error rms [{unit}]", *cells],
@@ -241,7 +241,8 @@ class Comparison:
         return pd.DataFrame.from_dict({label: dict(_flat(run)) for label, run in self.runs.items()}, orient="index")
 
 
-def _number(value: float | None, form: str) -> str:
+def number_text(value: float | None, form: str) -> str:
+    """A number, or a dash where there is none."""
     return "–" if value is None else form.format(value)
 
 
