@@ -179,10 +179,6 @@ class FaultMonitor:
             if before or memory.monitor.has_excluded:
                 yield from realignment.after_fault(filter)
 
-    def has_excluded(self, memory: MonitorMemory) -> bool:
-        """Whether something else stands in place of what an axis of the unit says."""
-        return memory.has_excluded
-
     def excluded_axes(self, memory: MonitorMemory) -> list[str]:
         """Names of the axes that something else stands in for."""
         return self.imu_monitor.excluded_axes(memory.imu)

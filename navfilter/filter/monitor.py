@@ -109,7 +109,9 @@ class Monitor(Protocol):
     has_pending: bool
 
     def initial_memory(self, filter: FilterState, memory: FilterMemory) -> Any:
-        """Its memory before the first input; that of the filter has none yet."""
+        """Its memory before the first input, which says itself whether it `has_excluded` an axis of the unit; that of
+        the filter has none yet.
+        """
         ...
 
     def restore(self, memory: Any, channels: Mapping[str, Channel]) -> None:
@@ -181,10 +183,6 @@ class Monitor(Protocol):
 
     def act_on_imu(self, filter: FilterState) -> Actions:
         """Act on what has been found in the samples."""
-        ...
-
-    def has_excluded(self, memory: Any) -> bool:
-        """Whether something else stands in place of what an axis of the unit says."""
         ...
 
     def excluded_axes(self, memory: Any) -> list[str]:

@@ -291,13 +291,8 @@ class LaneNavigator(NavigatorStatus):
                 note = run.filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
                 foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
-                self.lane_choice.compare(
-                    i,
-                    sensor,
-                    reading.time_s,
-                    *foretold,
-                    run.filter.monitor.has_excluded(run.filter.memory.monitor),
-                )
+                lost = run.filter.memory.monitor.has_excluded
+                self.lane_choice.compare(i, sensor, reading.time_s, *foretold, lost)
             if run is believed:
                 result = outcome
         assert result is not None
