@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from navfilter.evaluation.consistency import figures_of
 from navfilter.filter.records import Residuals
 from navfilter.foundation.arguments import intervals, needs, within
+from navfilter.foundation.quoting import json_value
 from navfilter.models.mission import Stream
 from navfilter.track.track import Track
 
@@ -229,7 +230,7 @@ class Comparison:
             "windows_s": windows,
             "baseline": self.baseline,
             "remarks": list(self.remarks),
-            "runs": _plain(self.runs),
+            "runs": json_value(self.runs),
         }
 
     def to_frame(self) -> pd.DataFrame:
@@ -269,12 +270,6 @@ def _white_cell(sensor: Mapping[str, Any] | None) -> str:
         return "–"
     largest = max((a["largest_acf"] for a in tested), key=abs)
     return ("white " if all(a["is_white"] for a in tested) else "") + f"{largest:+.3f}"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, tuple) else value
 
 
 def _flat(run: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
