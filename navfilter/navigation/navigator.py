@@ -182,7 +182,7 @@ class Navigator(NavigatorStatus):
 
     def _propagate(self, samples: Array) -> None:
         if len(samples) and not (self._imu_fast_path and self._imu_fast_path.take(samples)):
-            self.early_rerun.buffer_input(samples)
+            self._note_input(samples)
             (self if self.history is None else self.history).process(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
@@ -246,9 +246,16 @@ class Navigator(NavigatorStatus):
         watch = self.sensor_monitors[reading.name]
         reading = Measurement(*reading[:4], *watch.on_arrival(reading.time_s, reading.value))
         outcome = self.correct_in_order(reading)
-        self.early_rerun.buffer_input(reading)
+        self._note_input(reading)
         watch.on_outcome(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.memory.nav)
         return outcome
+
+    def _note_input(self, item: Array | Measurement) -> None:
+        """Before samples are taken and after a reading has been: a twin has it, too, and what waits has its turn."""
+        if self.early_rerun.twin is not None:
+            self.early_rerun.advance_shadow(item)
+        if self.learning.worker.waiting and isinstance(item, Measurement):
+            self.learning.worker.turn()
 
     def repeat_input(self, item: Array | Measurement) -> None:
         """Take an input as another run has: samples, or a reading in its place."""
@@ -480,5 +487,5 @@ class Navigator(NavigatorStatus):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
         if self.history is None:
             raise ValueError("it has inputs without a history")
-        for take in (self.early_rerun.buffer_input, self.history.process)[:: 1 if isinstance(item, np.ndarray) else -1]:
+        for take in (self._note_input, self.history.process)[:: 1 if isinstance(item, np.ndarray) else -1]:
             take(item)
