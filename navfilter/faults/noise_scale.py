@@ -102,7 +102,8 @@ def facts(filter: FilterState, channel: Channel) -> Array:
     known = np.zeros(facts_size(a))
     known[kernels.LASTING], known[kernels.KIND] = filter.inertial and (velocity or height), kind
     known[kernels.PERIOD_S], known[kernels.DRIVE_PERIOD_S] = channel.period_s, filter.period_s
-    known[kernels.BY_AXIS : kernels.BY_AXIS + a] = np.minimum(channel.step, channel.most)
+    change = channel.wander(channel.period_s) if channel.offset else np.minimum(channel.step, channel.most)
+    known[kernels.BY_AXIS : kernels.BY_AXIS + a] = change
     known[kernels.BY_AXIS + a : kernels.BY_AXIS + 2 * a] = channel.group.r
     channel.facts = known
     return known

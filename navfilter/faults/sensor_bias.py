@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.heading_fault import TrackRotationFit
+from navfilter.filter.channel_model import changes
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.sensors import Sensor
@@ -410,11 +411,10 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
 
 def _usual_wander(channel: Channel) -> Array:
     """Variance by which its coloured error may ever change but for the constants of a jump, shape (axes,)."""
-    e, C = channel.group.errors, channel.C.copy()
+    C = channel.C.copy()
     C[:, channel.offsets] = 0.0
-    P0, off = channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
-    tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
-    return np.asarray(np.minimum(np.diag(tick) * 1e9, 2.0 * np.diag(C @ P0 @ C.T)))
+    step, most = changes(channel.group, C)
+    return np.asarray(np.minimum(step * 1e9, most))
 
 
 # ---------------------------------------------------------------- dead reckoning meanwhile

@@ -18,7 +18,7 @@ from navfilter.models.fault_bias import currents, deviations, has_offset, offset
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
-__all__ = ["MOST_SDS", "ChannelModel", "believed", "delayed_facts"]
+__all__ = ["MOST_SDS", "ChannelModel", "believed", "changes", "delayed_facts"]
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -51,7 +51,7 @@ class ChannelModel(NamedTuple):
     slow : list of float
         Variance by axis of what its error states begin with.
     step, most : ndarray, shape (axes,)
-        Variance by which its coloured error changes in a period, and by which it may differ at two times, by axis.
+        See `changes`.
     content : ndarray
         What kernels are told of it, see `navfilter.kernels.batch`.
     ends : tuple of int
@@ -98,9 +98,7 @@ class ChannelModel(NamedTuple):
         bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
         offset, kernels = has_offset(sensor.models), (address(kernel, addresses.EQUATION), seen, 0, bent)
         limits = np.concatenate([gates, believed(sensor, group)])
-        e, C = group.errors, group.C
-        P0, off = group.P0[:e, :e], group.Phi[:e, :e] - np.eye(e)
-        slow, step = C @ P0 @ C.T, C @ (off @ P0 @ off.T + group.Q[:e, :e]) @ C.T
+        slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         facts = np.zeros(0) if sight is None else sight
@@ -110,15 +108,14 @@ class ChannelModel(NamedTuple):
         flowing = [(*one, axes) for one in currents(sensor.models, period_s)]
         each = *scaled, *zip(deviating, of_rad, strict=True), *flowing
         faults = np.concatenate([[len(scaled), len(of_rad), len(flowing)], *each])
-        parts = constants, np.zeros(3), model, C, R + lever, lever, R, limits, facts, faults
+        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts, faults
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),
             offset_states(sensor.models, period_s),
             (deviating, of_rad),
             limits,
             slow.diagonal().tolist(),
-            np.diag(step),
-            2.0 * np.diag(slow),
+            *changes(group, group.C),
             np.concatenate([part.ravel() for part in parts]),
             (0, *accumulate(part.size for part in parts)),
         )
@@ -126,6 +123,21 @@ class ChannelModel(NamedTuple):
     def is_of(self, sensor: Sensor, group: Group, variance: Array) -> bool:
         """Whether it is that of this sensor, these states, and this white variance of the gyros' rates."""
         return self.sensor is sensor and self.Phi is group.Phi and bool((self.variance == variance).all())
+
+
+def changes(group: Group, C: Array) -> tuple[Array, Array]:
+    """Variance by which a coloured error changes in a period, and by which it may differ at two times, by axis.
+
+    Parameters
+    ----------
+    group : Group
+        Its states.
+    C : ndarray, shape (axes, errors)
+        Its rows of them.
+    """
+    e = group.errors
+    P0, off = group.P0[:e, :e], group.Phi[:e, :e] - np.eye(e)
+    return np.diag(C @ (off @ P0 @ off.T + group.Q[:e, :e]) @ C.T), 2.0 * np.diag(C @ P0 @ C.T)
 
 
 def believed(sensor: Sensor, group: Group) -> Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter.channel_model import ChannelModel, delayed_facts
+from navfilter.filter.channel_model import ChannelModel, changes, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, consistency, kalman
@@ -217,7 +217,9 @@ class Channel:
 
     def wander(self, seconds: float) -> Array:
         """Variance by which its coloured error may have changed in a time, shape (axes,)."""
-        return np.asarray(np.minimum(self.step * min(seconds / self.period_s, 1e9), self.most))
+        # what a jump adds goes with the speed
+        step, most = changes(self.group, self.C) if self.offset else (self.step, self.most)
+        return np.asarray(np.minimum(step * min(seconds / self.period_s, 1e9), most))
 
     def beyond_belief(self, x: Array) -> bool:
         """Whether the estimate of its coloured error is no longer believed: then no reading is used."""

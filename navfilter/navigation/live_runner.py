@@ -255,7 +255,7 @@ class MeasurementFastPath:
         channel.reading, channel.count = read.copy(), int(self._facts[batch.TICKED])
         correction = self._filter.concluded(channel, given.time_s, False, nav.on_event)
         nav.change_count += 1
-        if nav.learning.listeners:
+        if nav.learning.listeners:  # nobody else: where the drive is cross-checked no reading comes here
             nav.on_event(correction, given.value)
         outcome = correction.outcome
         self._watch.on_outcome(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
@@ -296,14 +296,15 @@ class MeasurementFastPath:
         filter, learning = nav.filter, nav.learning
         channel, memory = filter.channels[self._name], filter.memory
         known, kept = channel.spot.item(batch.EQUATION), learning.beginning
-        heard = learning.for_kernel(self._name) if learning.listeners else UNHEARD
         if (
             not (known and channel.faults.ordinary(channel.offset))
             or (channel.others and channel.predecessor is not None)
             or nav.queue.readings
-            or heard is None
             or memory.monitor.silent
         ):
+            return False
+        heard = learning.for_kernel(self._name) if learning.listeners else UNHEARD
+        if heard is None:
             return False
         heads = values = _NO_ROWS
         if kept is not None:
