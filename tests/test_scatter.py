@@ -15,6 +15,7 @@ from navfilter.faults import sensor_bias
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.foundation.state_values import copied, differences
 from navfilter.kernels import noise_scale
+from navfilter.models.fault_bias import with_offsets
 from navfilter.navigation import runner
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
@@ -252,3 +253,15 @@ def smooth_compass(seed=0):
     described = nf.White(sd=8.63784e-06) + nf.GaussMarkov(sd=0.00592797, tau_s=17.5677, order=2)
     mission = replace(mission, streams={**mission.streams, "compass": replace(stream, value=value)})
     return plain.vehicle.with_error(compass=described), mission.between(0.0, 1400.0)
+
+
+def test_what_may_change_of_a_velocity_that_has_jumped_goes_with_its_speed():
+    """Kernels write the slopes of its constants, which go with the velocity, where they stand."""
+    vehicle = nf.Vehicle(imu=nf.Imu(), sensors={"dvl": nf.BodyVelocity(rate_hz=4, error=nf.White(sd=0.01))})
+    jumped = with_offsets(vehicle.sensors["dvl"].models, 0.5, at_m_s=1.0, density=0.01)
+    nav = nf.Navigator(vehicle.with_error(dvl=jumped), nf.Start(latitude_deg=45.0, longitude_deg=0.0))
+    channel = nav.filter.channels["dvl"]
+    before = channel.wander(10.0)
+    channel.C *= 2.0
+    assert channel.offset and (before > 0.0).all()
+    np.testing.assert_allclose(channel.wander(10.0), 4.0 * before, rtol=1e-12)

@@ -231,6 +231,7 @@ class MeasurementFastPath:
             kept.values.count += size
         if why == batch.JUDGED:
             outcome = self._judged(given, read)
+            looks = looks or self._filter.monitor.has_pending
         else:
             outcome = _made(Outcome, ("used", nis, dof, False))
             if busy:
@@ -240,7 +241,7 @@ class MeasurementFastPath:
                 if why == batch.LEARN:
                     self._learn()
                     busy = True
-        if looks or self._filter.monitor.has_pending:
+        if looks:
             self._filter.handle_pending(nav.on_event)
         self._history.inputs.append((given, shift))
         if nav.early_rerun.twin is not None:
