@@ -257,7 +257,7 @@ def smooth_compass(seed=0):
 
 def test_what_may_change_of_a_velocity_that_has_jumped_goes_with_its_speed():
     """Kernels write the slopes of its constants, which go with the velocity, where they stand."""
-    vehicle = nf.Vehicle(imu=nf.Imu(), sensors={"dvl": nf.BodyVelocity(rate_hz=4, error=nf.White(sd=0.01))})
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=50), sensors={"dvl": nf.BodyVelocity(rate_hz=4, error=nf.White(sd=0.01))})
     jumped = with_offsets(vehicle.sensors["dvl"].models, 0.5, at_m_s=1.0, density=0.01)
     nav = nf.Navigator(vehicle.with_error(dvl=jumped), nf.Start(latitude_deg=45.0, longitude_deg=0.0))
     channel = nav.filter.channels["dvl"]
