@@ -6,10 +6,11 @@ snapshots in the middle, a log of JSON lines. What is hashed is every value of w
 snapshots the values without the names and the format's number. So names of classes and files may change, numbers may
 not.
 
-    python benchmarks/bits.py --json before.json     in the tree that is the reference, on the same machine
-    python benchmarks/bits.py --against before.json  in the changed tree
+    python benchmarks/bits.py --against main         makes the runs of that commit, too, in a tree of its own
+    python benchmarks/bits.py --json before.json     keeps the hashes of this tree,
+    python benchmarks/bits.py --against before.json  for many looks on the same machine
 
-Compiled code differs from machine to machine: hashes of another machine say nothing.
+Compiled code differs from machine to machine: hashes of another machine say nothing, so none are kept with the code.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import dataclasses
 import hashlib
 import io
 import json
+import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -282,9 +285,26 @@ def _eight(seconds: float) -> tuple[nf.Vehicle, nf.Mission]:
     return learning(vehicle, "compass", "dvl", "depth", "gps"), mission
 
 
+def hashes_of(commit: str) -> dict[str, Any]:
+    """The hashes of a commit, by its own script with the same arguments, in a tree that is gone afterwards."""
+    asked = [word for word in sys.argv[1:] if word not in ("--against", commit, f"--against={commit}")]
+    with tempfile.TemporaryDirectory() as folder:
+        tree, found = Path(folder) / "tree", Path(folder) / "found.json"
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "--quiet", "--detach", str(tree), commit], check=True)
+        try:
+            script = [sys.executable, str(tree / "benchmarks" / "bits.py"), *asked, "--json", str(found)]
+            subprocess.run(script, check=True, env=os.environ | {"PYTHONPATH": str(tree)}, stdout=subprocess.DEVNULL)
+            return dict(json.loads(found.read_text())["figures"])
+        finally:
+            subprocess.run([*git, "remove", "--force", str(tree)], check=True)
+
+
 def bits(options: Options) -> dict[str, Any]:
     """Make the runs, print their hashes; compare them with those of ``--against``."""
-    reference = json.loads(options.against.read_text())["figures"] if options.against else {}
+    given = options.against
+    reference = {} if not given else json.loads(Path(given).read_text())["figures"] if Path(given).is_file() else None
+    reference = hashes_of(given) if reference is None else reference
     found: dict[str, Any] = {}
     wrong = []
     nf.warm_up()
@@ -318,9 +338,8 @@ if __name__ == "__main__":
                 quick("minutes in place of quarters of an hour"),
                 flag(
                     "--against",
-                    type=Path,
-                    metavar="JSON",
-                    help="compare with these hashes; exit code 1 where any differ",
+                    metavar="COMMIT",
+                    help="compare with this commit, or with the hashes of a JSON file; exit code 1 where any differ",
                 ),
                 flag("--only", default="", help="runs whose name holds this"),
                 flag("--recordings", action="store_true", help="recordings, too (NAVFILTER_DATA)"),

@@ -24,7 +24,8 @@ from harness import Options, Table, flag, main, quick
 
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign, run_seed
-from navfilter.evaluation.montecarlo.workers import available_cores, cluster, process_pool
+from navfilter.evaluation.montecarlo.workers import cluster, process_pool
+from navfilter.playback.warm_up import available_cores
 
 MODELS = ("white", "gm1")
 

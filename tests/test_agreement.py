@@ -10,8 +10,8 @@ import pytest
 from feeding import once_a_second
 
 import navfilter as nf
-from navfilter.faults import policy, refusals, sensor_bias
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults import policy, sensor_bias
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch
 from navfilter.models.fault_bias import (
@@ -281,7 +281,7 @@ def test_what_is_remembered_of_limits_does_not_grow_with_refusals():
     """A compass that is refused for good has one more of them with each reading, all day."""
     run = RejectionRun(True, True, (0.0,), (0.0,), (1.0,), (1.0,), 0.0, 0.0, misfit=1.0)
     asked = [dataclasses.replace(run, dof=dof).scatters for dof in range(1, 1000)]
-    assert not any(asked) and refusals._limit.cache_info().currsize < 100
+    assert not any(asked) and sensor_bias._limit.cache_info().currsize < 100
 
 
 def test_agreement_is_a_constant_within_the_noise():

@@ -90,9 +90,8 @@ def test_it_is_back_where_it_is_nearer_to_the_state_under_way():
 
 def test_a_jump_beside_the_speed_is_one_of_the_velocity_where_a_unit_carries():
     def filter(speed, lost=False, inertial=True):
-        monitor = SimpleNamespace(imu_monitor=SimpleNamespace(has_excluded=lambda w: lost))
-        memory = SimpleNamespace(nav=np.eye(17)[3] * speed, monitor=SimpleNamespace(imu=None))
-        return SimpleNamespace(memory=memory, inertial=inertial, monitor=monitor)
+        memory = SimpleNamespace(nav=np.eye(17)[3] * speed, monitor=SimpleNamespace(has_excluded=lost))
+        return SimpleNamespace(memory=memory, inertial=inertial)
 
     def channel(reading, ground=3):
         return SimpleNamespace(ground=ground, reading=np.array(reading), axes=3)

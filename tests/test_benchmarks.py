@@ -120,6 +120,14 @@ def test_figures_are_kept_as_json(command, keys, tmp_path):
     assert keys <= set(found["figures"])
 
 
+def test_a_refused_reading_visits_few_files(tmp_path):
+    """What it does not concern is not asked: with each file that a newcomer need not open the way is easier to read."""
+    ended("walk.py", "--quick", "--json", str(tmp_path / "figures.json"))
+    rows = {row["input"]: row for row in json.loads((tmp_path / "figures.json").read_text())["figures"]}
+    refused = rows["reading that is refused"]
+    assert refused["calls"] > 30 and refused["files"] <= 14 and refused["changes"] <= 40
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [f"{name}.py {part}".strip() for name, (_, parts) in SCRIPTS.items() for part in parts or ("",)]

@@ -16,7 +16,7 @@ from navfilter.faults import alternative_path, innovation_gate
 from navfilter.faults import settings as fault_settings
 from navfilter.faults.alternative_path import AlternativePath, believable, followed, follows, since_fix, with_rejected
 from navfilter.faults.imu import acceleration
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate

@@ -10,10 +10,12 @@ from kernel_inputs import assert_close, random_nav, run_both, spd
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
-from navfilter.faults import allowed_change
+from navfilter.faults import noise_scale as scatter
+from navfilter.faults import sensor_bias
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.foundation.state_values import copied, differences
 from navfilter.kernels import noise_scale
+from navfilter.models.fault_bias import with_offsets
 from navfilter.navigation import runner
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
@@ -118,7 +120,7 @@ def beyond(bends, white, slack=0.0):
 def test_the_kernel_is_its_twin_reading_by_reading(seed, axes, kind, lasting, north):
     """A sensor that gets noisy, jumps in unit, is lost for a while, is heard wrong, and gets quiet again."""
     rng, unit = np.random.default_rng(seed), 0.02 if north >= 0 else 1.0  # headings within half a turn
-    kept, facts = np.zeros(noise_scale.size(axes)), np.zeros(noise_scale.facts_size(axes))
+    kept, facts = np.zeros(scatter.size(axes)), np.zeros(scatter.facts_size(axes))
     facts[:4], facts[4 : 4 + 2 * axes] = (lasting, kind, 0.2, 0.02), unit**2 * rng.uniform(0.1, 1.0, 2 * axes)
     kept[noise_scale.TIME_S] = -math.inf
     Cr, P, nav = unit * rng.normal(size=(6, 5)) ** 2, unit * spd(rng, 14), random_nav(rng)
@@ -162,7 +164,7 @@ def test_what_drive_may_have_added_is_what_refused_readings_are_judged_by(sensor
     """The same stands in the kernel, whose twin this is, and in Python for readings that are refused together."""
     rng = np.random.default_rng(3)
     P, Cr = spd(rng, 14), rng.normal(size=(6, 5)) ** 2
-    once = allowed_change.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
+    once = sensor_bias.reckoned(sensor, P, 1.5, 0.4, Cr, 0.02)
     assert once == pytest.approx(naive.may_have_gone(kind, P, 1.5, 0.4, Cr, 0.02), rel=1e-12)
 
 
@@ -251,3 +253,15 @@ def smooth_compass(seed=0):
     described = nf.White(sd=8.63784e-06) + nf.GaussMarkov(sd=0.00592797, tau_s=17.5677, order=2)
     mission = replace(mission, streams={**mission.streams, "compass": replace(stream, value=value)})
     return plain.vehicle.with_error(compass=described), mission.between(0.0, 1400.0)
+
+
+def test_what_may_change_of_a_velocity_that_has_jumped_goes_with_its_speed():
+    """Kernels write the slopes of its constants, which go with the velocity, where they stand."""
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=50), sensors={"dvl": nf.BodyVelocity(rate_hz=4, error=nf.White(sd=0.01))})
+    jumped = with_offsets(vehicle.sensors["dvl"].models, 0.5, at_m_s=1.0, density=0.01)
+    nav = nf.Navigator(vehicle.with_error(dvl=jumped), nf.Start(latitude_deg=45.0, longitude_deg=0.0))
+    channel = nav.filter.channels["dvl"]
+    before = channel.wander(10.0)
+    channel.C *= 2.0
+    assert channel.offset and (before > 0.0).all()
+    np.testing.assert_allclose(channel.wander(10.0), 4.0 * before, rtol=1e-12)

@@ -71,7 +71,8 @@ def test_dead_reckoning_is_not_looked_at():
     vehicle = reckoning_vehicle()
     mission = simulate(vehicle, survey(60.0), seed=1, duration_s=60.0)
     nav, _ = fly(vehicle, mission)
-    assert bias_drift.due_s(nav.filter) == math.inf and np.isnan(nav.filter.memory.monitor.bias_drift).all()
+    monitor = nav.filter.memory.monitor
+    assert monitor.look_s(nav.filter.inertial) == math.inf and np.isnan(monitor.bias_drift).all()
 
 
 def looks(sd=2.0, ends=1.0):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navfilter.check import shared_motion, vertical
 from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
@@ -22,22 +23,6 @@ from navfilter.check.series import (
     unwrapped,
     vector,
     window_edges,
-)
-from navfilter.check.shared_motion import (
-    TURN_S,
-    axes_findings,
-    clock_finding,
-    felt_clocks,
-    is_right,
-    pair_findings,
-    speeding_up_findings,
-)
-from navfilter.check.vertical import (
-    depth_sign_findings,
-    height_findings,
-    sideways_findings,
-    surfacing_findings,
-    vertical_findings,
 )
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.foundation.display import counted
@@ -65,7 +50,7 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
         yield from _field(name, stream, mission)
         yield from _positions(name, stream)
         yield from _pressure(name, stream)
-        yield from depth_sign_findings(name, stream)
+        yield from vertical.depth_sign_findings(name, stream)
     yield from compared_findings(mission, vehicle)
 
 
@@ -83,22 +68,22 @@ def compared_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Fin
             found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
-    yield from pair_findings(mission, vehicle)
-    yield from axes_findings(mission, vehicle)
-    clocks = felt_clocks(mission, vehicle)
-    stretched = list(speeding_up_findings(mission, clocks))
+    yield from shared_motion.pair_findings(mission, vehicle)
+    yield from shared_motion.axes_findings(mission, vehicle)
+    clocks = shared_motion.felt_clocks(mission, vehicle)
+    stretched = list(shared_motion.speeding_up_findings(mission, clocks))
     yield from stretched
     if vehicle is not None:
-        yield from surfacing_findings(mission, vehicle)
-        yield from height_findings(mission, vehicle)
+        yield from vertical.surfacing_findings(mission, vehicle)
+        yield from vertical.height_findings(mission, vehicle)
     for name, stream in mission.streams.items():
         if "v_x_m_s" in stream.columns:
             known = name in {finding.stream for finding in stretched}
-            sure = name in clocks and is_right(clocks[name][1])
+            sure = name in clocks and shared_motion.is_right(clocks[name][1])
             yield from course_findings(name, stream, mission, vehicle, agrees, (known, sure))
-            yield from vertical_findings(name, mission, vehicle)
+            yield from vertical.vertical_findings(name, mission, vehicle)
             if vehicle is not None:
-                yield from sideways_findings(name, mission, vehicle)
+                yield from vertical.sideways_findings(name, mission, vehicle)
 
 
 def _compared(mission: Mission, vehicle: Vehicle | None) -> Mission:
@@ -265,7 +250,7 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> 
     elif match.correlation > 0.9:
         what = f"the heading is {{}} against {gyro}"
         late_s = match.late_s if abs(match.late_s) < MOST_DELAY_S else 0.0
-        yield from clock_finding(name, what, turned, heading, TURN_S, late_s)
+        yield from shared_motion.clock_finding(name, what, turned, heading, shared_motion.TURN_S, late_s)
 
 
 # --- the rest -------------------------------------------------------------------------------------------------------

@@ -8,17 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from navfilter.commands.console import (
-    add_force_argument,
-    add_limit_argument,
-    add_reading_arguments,
-    compile_first,
-    limits_of,
-    new_files,
-    positive,
-    speaker,
-    unpacked_bytes,
-)
+from navfilter.commands import console
 
 if TYPE_CHECKING:
     from navfilter.models.mission import Mission
@@ -78,12 +68,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--each", metavar="KINDS", default="", help=about)
     about = "take the mission's truth as fixes with this sd in metres (default: %(const)s)"
-    add("--truth", nargs="?", type=positive, const=0.1, metavar="SD_M", help=about)
+    add("--truth", nargs="?", type=console.positive, const=0.1, metavar="SD_M", help=about)
     add("--imu", metavar="NAME", help="of several inertial units: the one whose readings carry the state meanwhile")
     add("--json", metavar="PATH", help="write the table as JSON too")
-    add_force_argument(parser)
-    add_limit_argument(parser)
-    add_reading_arguments(parser)
+    console.add_force_argument(parser)
+    console.add_limit_argument(parser)
+    console.add_reading_arguments(parser)
     add("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -97,24 +87,24 @@ def run(options: argparse.Namespace) -> int:
     from navfilter.playback.instructions import instructed
 
     out = Path(options.out)
-    new_files([out, *([Path(options.json)] if options.json else [])], options.force)
+    console.new_files([out, *([Path(options.json)] if options.json else [])], options.force)
     vehicle = read_vehicle(options.vehicle)
-    limits_of(options)  # a mistake in them shall not cost a calibration
-    limits = {"confine": options.confine, "unpacked_bytes": unpacked_bytes(options)}
+    console.limits_of(options)  # a mistake in them shall not cost a calibration
+    limits = {"confine": options.confine, "unpacked_bytes": console.unpacked_bytes(options)}
     missions = [instructed(vehicle, read_mission(path, **limits))[1] for path in options.mission]
     single, missions, unit = _of_one_unit(vehicle, missions, options.imu)
     known = single
     for k, mission in enumerate(missions if options.truth else ()):
         known, missions[k] = with_reference(single, mission, options.truth)
     kinds = None if options.open is None else list(KINDS) if options.open == "all" else options.open.split(",")
-    compile_first(options.quiet, known)
+    console.compile_first(options.quiet, known)
     result = calibrate(
         known, missions, kinds=kinds, each=options.each.split(","), report=None if options.quiet else _progress
     )
-    say = speaker(options.quiet)
+    say = console.speaker(options.quiet)
     if not options.quiet:
         _progress("")
-    say(calibration_text(result, limits_of(options)))
+    say(calibration_text(result, console.limits_of(options)))
     found = vehicle.with_lane(unit, result.vehicle)
     names = ", ".join(mission.name for mission in missions)
     copied = write_calibrated(found, vehicle, out, options.vehicle, f"found by navfilter calibrate: {names}")

@@ -16,20 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from navfilter.commands import calibrate, compare, identify, learn, mission, montecarlo, replay, run, vehicle
-from navfilter.commands.console import (
-    add_force_argument,
-    add_reading_arguments,
-    announce_compilation,
-    complain,
-    new_files,
-    output_folder,
-    positive,
-    read,
-    speaker,
-    unpacked_bytes,
-    whole,
-)
+from navfilter.commands import calibrate, compare, console, identify, learn, mission, montecarlo, replay, run, vehicle
 
 __all__ = ["main"]
 
@@ -84,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.compiled:
             from navfilter.service.kernel_cache import make_usable
 
-            make_usable(complain)
+            make_usable(console.complain)
         return options.run(options)
     except KeyboardInterrupt:
         return _fail("interrupted.", INTERRUPTED)
@@ -101,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(text: str, code: int) -> int:
-    complain(f"navfilter: {text}")
+    console.complain(f"navfilter: {text}")
     return code
 
 
@@ -175,9 +162,9 @@ def _add_simulate(commands: Any) -> None:
     add("scenario", nargs="?", metavar="SCENARIO", help="see --list")
     add("--list", action="store_true", help="list the scenarios and stop")
     add("--out", metavar="PATH", help="folder, or file that ends in .npz")
-    add_force_argument(parser)
-    add("--seed", type=whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
-    add("--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)")
+    console.add_force_argument(parser)
+    add("--seed", type=console.whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
+    add("--duration", type=console.positive, metavar="S", help="length in seconds (default: that of the scenario)")
     add("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -196,12 +183,12 @@ def _simulate(options: argparse.Namespace) -> int:
     vehicle, mission = simulate_scenario(options.scenario, options.seed, options.duration)
     if out.suffix == ".npz":
         to = out, out.with_suffix(".toml")
-        new_files((*to, out.with_name(f"{out.stem}_true.toml")), options.force)
+        console.new_files((*to, out.with_name(f"{out.stem}_true.toml")), options.force)
     else:
-        folder = output_folder(out, options.force)
+        folder = console.output_folder(out, options.force)
         to = folder / "mission.npz", folder / "vehicle.toml"
     replay.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
-    say = speaker(options.quiet)
+    say = console.speaker(options.quiet)
     say(f"{mission.duration_s:.0f} s, streams {', '.join(mission.streams)}. Replay it with:")
     say(f"  navfilter replay {to[0]} --vehicle {to[1]} --smooth --out result")
     return OK
@@ -229,7 +216,7 @@ def _add_check(commands: Any) -> None:
     )
     parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    add_reading_arguments(parser)
+    console.add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
 
 
@@ -238,8 +225,8 @@ def _check(options: argparse.Namespace) -> int:
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
 
-    say = speaker(options.quiet)
-    mission = _of_a_log(Path(options.mission), say, unpacked_bytes(options)) or read(options)
+    say = console.speaker(options.quiet)
+    mission = _of_a_log(Path(options.mission), say, console.unpacked_bytes(options)) or console.read(options)
     vehicle = None
     if options.vehicle is not None:
         vehicle, mission = instructed(read_vehicle(options.vehicle), mission)
@@ -290,11 +277,11 @@ def _warmup(options: argparse.Namespace) -> int:
     from navfilter.kernels.compiling.progress import show_compilation
     from navfilter.service.kernel_cache import compile_kernels
 
-    say = (lambda text: None) if options.quiet else complain
+    say = (lambda text: None) if options.quiet else console.complain
     if not options.quiet:
         show_compilation()
-    announce_compilation(say)
+    console.announce_compilation(say)
     began = time.perf_counter()
     compile_kernels(say)
-    speaker(options.quiet)(f"ready ({time.perf_counter() - began:.1f} s).")
+    console.speaker(options.quiet)(f"ready ({time.perf_counter() - began:.1f} s).")
     return OK

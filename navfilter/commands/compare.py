@@ -11,17 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands.console import (
-    add_force_argument,
-    add_reading_arguments,
-    compile_first,
-    figures_bar,
-    output_folder,
-    positive,
-    read,
-    show,
-    speaker,
-)
+from navfilter.commands import console
 
 if TYPE_CHECKING:
     from navfilter.evaluation.comparison import Comparison
@@ -89,10 +79,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
     add("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
     about = "rows of a track per second (default: %(default)s)"
-    add("--output-rate", type=positive, default=5.0, metavar="HZ", help=about)
+    add("--output-rate", type=console.positive, default=5.0, metavar="HZ", help=about)
     add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
-    add_force_argument(parser)
-    add_reading_arguments(parser)
+    console.add_force_argument(parser)
+    console.add_reading_arguments(parser)
     add("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -121,8 +111,8 @@ def run(options: argparse.Namespace) -> int:
         )
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     truth = None if options.oracle is None else true_errors(vehicle, read_vehicle(options.oracle))
-    vehicle, mission = instructed(vehicle, read(options))
-    folder = None if options.out is None else output_folder(options.out, options.force)
+    vehicle, mission = instructed(vehicle, console.read(options))
+    folder = None if options.out is None else console.output_folder(options.out, options.force)
     plan = Plan(options.models, options.sensors, truth, options.models if options.smooth else (), options.output_rate)
     tracks = replay_models(plan, vehicle, mission, options.quiet)
     comparison = compare_tracks(tracks, mission, vehicle, options.sensors, options.begin)
@@ -130,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
         print_comparison(comparison, mission)
     if folder is not None:
         write_results(comparison, tracks, mission, folder, options.quiet)
-        speaker(options.quiet)(
+        console.speaker(options.quiet)(
             f"Written to {folder}{os.sep}: report.html (open this one), comparison.csv, summary.json"
         )
     return 0
@@ -184,8 +174,8 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     from navfilter.evaluation.baselines import fitted_kinds, replay_rival, rivals
     from navfilter.models.alignment import align
 
-    say, bars = speaker(quiet), not quiet and sys.stderr.isatty()
-    compile_first(quiet)
+    say, bars = console.speaker(quiet), not quiet and sys.stderr.isatty()
+    console.compile_first(quiet)
     # One start for all: an alignment uses the error models, and the rivals are to differ in nothing else.
     start = mission.start if mission.start is not None else align(vehicle, mission)
     if fitted_kinds(plan.models):
@@ -241,9 +231,9 @@ def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] 
 
 def print_comparison(comparison: Comparison, mission: Mission) -> None:
     """The table on standard output."""
-    show(f"\n{comparison}")
+    console.show(f"\n{comparison}")
     if mission.truth is None:
-        show("(no truth in this mission: only what the readings themselves tell)")
+        console.show("(no truth in this mission: only what the readings themselves tell)")
 
 
 def write_results(
@@ -265,5 +255,5 @@ def write_results(
         "adopted": adopted_models(tracks),
     }
     write_json(summary, folder / "summary.json")
-    with figures_bar(quiet) as bar:
+    with console.figures_bar(quiet) as bar:
         write_comparison(comparison, tracks, mission, folder / "report.html", bar.update)

@@ -12,18 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from navfilter.commands import noise_sheet
-from navfilter.commands.console import (
-    add_force_argument,
-    add_unpacking_argument,
-    complain,
-    count,
-    output_folder,
-    positive,
-    show,
-    unpacked_bytes,
-    whole,
-)
+from navfilter.commands import console, noise_sheet
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -57,13 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE")
     about = "folder to write to; with --imu or --json it may be left out, and nothing is written"
     parser.add_argument("--out", metavar="DIR", help=about)
-    add_force_argument(parser)
-    add_unpacking_argument(parser)
+    console.add_force_argument(parser)
+    console.add_unpacking_argument(parser)
     noise_sheet.add_arguments(parser)
     data = parser.add_argument_group("the series")
     about = 'name of the column, or its position from 0; of an array "counts[0]"'
     data.add_argument("--column", metavar="C", help=about)
-    data.add_argument("--rate-hz", type=positive, metavar="R", help="samples per second; not needed with a time column")
+    about = "samples per second; not needed with a time column"
+    data.add_argument("--rate-hz", type=console.positive, metavar="R", help=about)
     about = "column with seconds: gives the rate, and gaps where samples are missing"
     data.add_argument("--time-column", metavar="T", help=about)
     about = "unit of that column (default: %(default)s)"
@@ -75,30 +65,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "of a log (a ROS bag, NMEA, ...): which of its topics"
     data.add_argument("--topic", default="", metavar="NAME", help=about)
     data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")
-    data.add_argument("--skip-lines", type=whole, default=0, metavar="N", help="lines before the header of a text file")
-    data.add_argument("--skip-rows", type=whole, default=0, metavar="N", help="rows of data to skip after it")
+    data.add_argument("--skip-lines", type=console.whole, default=0, metavar="N", help="lines before the header")
+    data.add_argument("--skip-rows", type=console.whole, default=0, metavar="N", help="rows of data to skip after it")
     part = parser.add_argument_group("which samples")
     part.add_argument("--from-s", type=float, metavar="S", help="first time to use")
     part.add_argument("--to-s", type=float, metavar="S", help="last time to use")
     about = "keep every M-th sample, without averaging"
-    part.add_argument("--decimate", type=count, default=1, metavar="M", help=about)
+    part.add_argument("--decimate", type=console.count, default=1, metavar="M", help=about)
     about = "samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)"
     part.add_argument("--reject", type=float, default=50.0, metavar="K", help=about)
     about = "fit the middle N of a longer record (default: 50000)"
-    part.add_argument("--max-samples", type=count, metavar="N", help=about)
+    part.add_argument("--max-samples", type=console.count, metavar="N", help=about)
     model = parser.add_argument_group("the model")
     about = "highest autoregressive order (default: %(default)s)"
-    model.add_argument("--max-p", type=whole, default=10, metavar="P", help=about)
+    model.add_argument("--max-p", type=console.whole, default=10, metavar="P", help=about)
     about = "highest moving-average order (default: %(default)s)"
-    model.add_argument("--max-q", type=whole, default=10, metavar="Q", help=about)
+    model.add_argument("--max-q", type=console.whole, default=10, metavar="Q", help=about)
     model.add_argument("--order", type=_order, metavar="P,Q", help="fit this order instead of choosing one")
-    model.add_argument("--difference", type=whole, default=0, metavar="D", help="times to difference first (ARIMA)")
+    model.add_argument("--difference", type=console.whole, default=0, metavar="D", help="times to difference (ARIMA)")
     about = "model x[t] - x[t-S]: removes what repeats every S samples"
-    model.add_argument("--seasonal-lag", type=whole, default=0, metavar="S", help=about)
+    model.add_argument("--seasonal-lag", type=console.whole, default=0, metavar="S", help=about)
     model.add_argument("--detrend", action="store_true", help="estimate a straight line along with the coefficients")
     model.add_argument("--online", action="store_true", help="coefficients over time from the online estimator instead")
     about = "its window in samples (default: %(default)s)"
-    model.add_argument("--window", type=count, default=4000, metavar="W", help=about)
+    model.add_argument("--window", type=console.count, default=4000, metavar="W", help=about)
     parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -117,7 +107,7 @@ def _order(text: str) -> tuple[int, int]:
     parts = [part.strip() for part in text.strip("() ").split(",")]
     if len(parts) != 2:
         raise argparse.ArgumentTypeError(f"must be P,Q such as 2,1, found '{text}'")
-    return whole(parts[0]), whole(parts[1])
+    return console.whole(parts[0]), console.whole(parts[1])
 
 
 def run(options: argparse.Namespace) -> int:
@@ -130,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError("--online writes its own files: leave --imu and --json out.")
     if options.out is None and not (options.imu or options.json):
         raise ValueError("--out DIR is needed: the folder to write to.")
-    folder = None if options.out is None else output_folder(options.out, options.force)
+    folder = None if options.out is None else console.output_folder(options.out, options.force)
     with _busy(options.quiet or options.json) as say:
         if options.imu:
             return noise_sheet.run(options, folder, say)
@@ -151,7 +141,7 @@ def _read(options: argparse.Namespace) -> Any:
         time_column=options.time_column,
         time_unit=options.time_unit,
         options=noise_sheet.layout(options),
-        unpacked_bytes=unpacked_bytes(options),
+        unpacked_bytes=console.unpacked_bytes(options),
     )
     if series.source != options.file and unit(options.unit).factor != 1.0:
         raise ValueError(f"{options.file} is a stream of a mission, in SI: leave --unit {options.unit} out.")
@@ -174,12 +164,12 @@ def _batch(options: argparse.Namespace, series: Any, folder: Path | None, say: A
         write_identification(found, folder, options.unit)
     say("")
     if options.json:
-        show(json.dumps(as_dict(found, options.unit), indent=1))
+        console.show(json.dumps(as_dict(found, options.unit), indent=1))
     elif not options.quiet:
-        show(f"{series.name} of {series.source}")
-        show(summary_text(found, options.unit))
+        console.show(f"{series.name} of {series.source}")
+        console.show(summary_text(found, options.unit))
         if folder is not None:
-            show(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
+            console.show(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
     return 0
 
 
@@ -202,11 +192,12 @@ def _online(options: argparse.Namespace, series: Any, folder: Path, say: Any) ->
     write_tracks(tracks, folder, options.unit)
     say("")
     if not options.quiet:
-        show(f"{series.name} of {series.source}, windows of {options.window} samples")
-        show(tracks_text(tracks, options.unit))
+        console.show(f"{series.name} of {series.source}, windows of {options.window} samples")
+        console.show(tracks_text(tracks, options.unit))
         for note in tracks.data.notes:
-            show(f"note: {note}")
-        show(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, tracks.csv, tracks.svg")
+            console.show(f"note: {note}")
+        written = "identify.html (open this one), identify.json, tracks.csv, tracks.svg"
+        console.show(f"Written to {folder}{os.sep}: {written}")
     return 0
 
 
@@ -217,7 +208,7 @@ def _busy(quiet: bool) -> Iterator[Any]:
         yield lambda text: None
         return
     if not sys.stderr.isatty():
-        yield lambda text: complain(f"{text} ...") if text else None
+        yield lambda text: console.complain(f"{text} ...") if text else None
         return
     from tqdm import tqdm
 

@@ -8,15 +8,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands.console import (
-    add_force_argument,
-    add_reading_arguments,
-    compile_first,
-    new_files,
-    positive,
-    speaker,
-    unpacked_bytes,
-)
+from navfilter.commands import console
 
 if TYPE_CHECKING:
     pass
@@ -73,13 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gap", type=_gap, metavar="S", help=about)
     parser.add_argument("--json", metavar="PATH", help="write what was learnt as JSON too")
     parser.add_argument("--no-report", action="store_false", dest="report", help="no page with pictures")
-    add_force_argument(parser)
-    add_reading_arguments(parser)
+    console.add_force_argument(parser)
+    console.add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _gap(text: str) -> float:
-    return math.inf if text == "inf" else positive(text)
+    return math.inf if text == "inf" else console.positive(text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -92,13 +84,13 @@ def run(options: argparse.Namespace) -> int:
 
     out, page = Path(options.out), Path(options.out).with_suffix(".html")
     beside = [page] * options.report + ([Path(options.json)] if options.json else [])
-    new_files([out, *beside], options.force)
+    console.new_files([out, *beside], options.force)
     vehicle, table = read_vehicle(options.vehicle), read_learnt(options.vehicle)
     before = None if table is None else from_table(vehicle, table)
-    limits: dict[str, Any] = {"confine": options.confine, "unpacked_bytes": unpacked_bytes(options)}
+    limits: dict[str, Any] = {"confine": options.confine, "unpacked_bytes": console.unpacked_bytes(options)}
     missions = [read_mission(path, **limits) for path in options.mission]
-    compile_first(options.quiet, vehicle)
-    say = speaker(options.quiet)
+    console.compile_first(options.quiet, vehicle)
+    say = console.speaker(options.quiet)
     if before is not None:
         say(f"going on from {len(before.counted)} dives: {', '.join(name for name, _ in before.counted)}")
     result = learn(missions, vehicle, sensors=options.sensor, gap_s=options.gap, before=before, report=say)

@@ -10,17 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from navfilter.commands.console import (
-    add_force_argument,
-    compile_first,
-    complain,
-    count,
-    output_folder,
-    positive,
-    show,
-    speaker,
-    whole,
-)
+from navfilter.commands import console
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -55,22 +45,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--scenario", metavar="NAME", help="the same")
     add("--list", action="store_true", help="list the scenarios and stop")
     about = "missions, with seeds from --seed on (default: %(default)s)"
-    add("--runs", "--seeds", type=count, default=20, metavar="N", help=about)
+    add("--runs", "--seeds", type=console.count, default=20, metavar="N", help=about)
     about = "seed of the first mission (default: %(default)s)"
-    add("--seed", "--first-seed", type=whole, default=1, metavar="S", help=about)
+    add("--seed", "--first-seed", type=console.whole, default=1, metavar="S", help=about)
     add("--models", "--rivals", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)")
     add("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
     add("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
-    add("--duration", type=positive, metavar="S", help="length of a mission in seconds (default: that of the scenario)")
+    add("--duration", type=console.positive, metavar="S", help="of a mission, in seconds (default: the scenario's)")
     add("--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)")
-    add("--imu-rate", type=positive, default=100.0, metavar="HZ", help="of the inertial unit (default: %(default)s)")
+    about = "of the inertial unit (default: %(default)s)"
+    add("--imu-rate", type=console.positive, default=100.0, metavar="HZ", help=about)
     add("--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)")
     add("--figures", action=argparse.BooleanOptionalAction, default=True, help="draw them too (default: yes)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=count, metavar="K", help="processes (default: all cores)")
+    where.add_argument("--workers", type=console.count, metavar="K", help="processes (default: all cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     add("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
-    add_force_argument(parser)
+    console.add_force_argument(parser)
     add("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -81,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     if options.list:
         width = max(map(len, STUDIES))
         for name, study in STUDIES.items():
-            show(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
+            console.show(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
         return 0
     scenario = options.name or options.scenario
     if scenario is None or (options.scenario or scenario) != scenario:
@@ -99,8 +90,8 @@ def run(options: argparse.Namespace) -> int:
     )
     models = _models(options, campaign)
     where = options.out or Path("navfilter-montecarlo") / campaign.name.replace("/", "-")
-    folder = output_folder(where, options.force, plan="campaign.json")
-    compile_first(options.quiet)
+    folder = console.output_folder(where, options.force, plan="campaign.json")
+    console.compile_first(options.quiet)
     return _run(options, campaign, models, folder)
 
 
@@ -117,7 +108,7 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
             raise ValueError(
                 f'"oracle" needs one true model for the whole mission, but in {campaign.scenario} the noise changes.'
             )
-        speaker(options.quiet)("(no oracle: the noise of this scenario changes, no fixed model is the truth)")
+        console.speaker(options.quiet)("(no oracle: the noise of this scenario changes, no fixed model is the truth)")
         names = tuple(name for name in names if name != "oracle")
     return names
 
@@ -125,9 +116,10 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
 def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
     from navfilter.evaluation.montecarlo.campaign import run_campaign
     from navfilter.evaluation.montecarlo.store import Store
-    from navfilter.evaluation.montecarlo.workers import available_cores, cluster, process_pool
+    from navfilter.evaluation.montecarlo.workers import cluster, process_pool
+    from navfilter.playback.warm_up import available_cores
 
-    say = speaker(options.quiet)
+    say = console.speaker(options.quiet)
     Store(folder, campaign.settings)  # refuses a folder of another campaign before any worker is started
     seeds = range(options.seed, options.seed + options.runs)
     where = options.dask or f"{options.workers or available_cores()} processes"
@@ -138,7 +130,7 @@ def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], fo
             results = run_campaign(campaign, seeds, models, folder, executor, progress)
         except KeyboardInterrupt:
             kept = len(list((folder / "runs").rglob("*.npz")))
-            complain(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.")
+            console.complain(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.")
             raise
     from navfilter.evaluation.montecarlo.tables import table, write_tables
 

@@ -88,7 +88,8 @@ def replay_all(
     compile_first : callable
         Called once before the workers are started, so that they find the kernels compiled.
     """
-    from navfilter.evaluation.montecarlo.workers import available_cores, process_pool
+    from navfilter.evaluation.montecarlo.workers import process_pool
+    from navfilter.playback.warm_up import available_cores
 
     folder, say = output_folder(options.out, options.force), speaker(options.quiet)
     names = labels(options.mission)

@@ -12,23 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands import formats, mission_part
-from navfilter.commands.console import (
-    add_force_argument,
-    add_limit_argument,
-    add_reading_arguments,
-    compile_first,
-    complain,
-    figures_bar,
-    limits_of,
-    output_folder,
-    positive,
-    read,
-    row_rate,
-    show,
-    speaker,
-    whole,
-)
+from navfilter.commands import console, formats, mission_part
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
@@ -106,9 +90,9 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter demo``."""
     add = parser.add_argument
     add("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
-    add("--seed", type=whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
-    add("--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)")
-    add_force_argument(parser)
+    add("--seed", type=console.whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
+    add("--duration", type=console.positive, metavar="S", help="length of the mission in seconds (default: one hour)")
+    console.add_force_argument(parser)
     add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
@@ -121,8 +105,8 @@ def demo(options: argparse.Namespace) -> int:
     """Run ``navfilter demo``."""
     from navfilter.commands import compare as compare_command
 
-    folder = output_folder(options.out, options.force)
-    say = speaker(options.quiet)
+    folder = console.output_folder(options.out, options.force)
+    say = console.speaker(options.quiet)
     say("simulating the mission ...")
     from navfilter.simulation.scenarios import simulate_scenario
     from navfilter.simulation.truth import true_vehicle
@@ -139,7 +123,7 @@ def demo(options: argparse.Namespace) -> int:
     comparison = compare_command.compare_tracks(forward, mission, vehicle, plan.sensors)
     if not options.quiet:
         compare_command.print_comparison(comparison, mission)
-    below = output_folder(folder / "comparison", options.force)
+    below = console.output_folder(folder / "comparison", options.force)
     compare_command.write_results(comparison, forward, mission, below, options.quiet)
     say(f"Written to {below}{os.sep}: report.html (the models side by side), comparison.csv, summary.json")
     return code
@@ -163,22 +147,22 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     add("mission", metavar="MISSION", nargs="+")
     add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     add("--out", required=True, metavar="DIR", help="folder to write to")
-    add_force_argument(parser)
-    add_reading_arguments(parser)
+    console.add_force_argument(parser)
+    console.add_reading_arguments(parser)
     about = "smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
     add("--smooth", action="store_true", help=about)
     about = (
         "smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
         "hardly known at the start"
     )
-    add("--passes", type=whole, default=1, metavar="N", help=about)
+    add("--passes", type=console.whole, default=1, metavar="N", help=about)
     about = (
         "identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
         "times (5 is plenty)"
     )
-    add("--iterate", type=whole, default=0, metavar="N", help=about)
+    add("--iterate", type=console.whole, default=0, metavar="N", help=about)
     add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
-    add_limit_argument(parser)
+    console.add_limit_argument(parser)
     about = (
         "compare the track with surveyed places, which the filter does not get: a table with the columns name, "
         "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)"
@@ -192,9 +176,9 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     add("--backward", action="store_true", help=about)
     mission_part.add_arguments(parser)
     about = "rows of the track per second; all: one at every sample of the drive (default: %(default)s)"
-    add("--output-rate", type=row_rate, default=5.0, metavar="HZ", help=about)
+    add("--output-rate", type=console.row_rate, default=5.0, metavar="HZ", help=about)
     about = "processes for several MISSIONs (default: as many as there are processors)"
-    add("--workers", type=whole, metavar="N", help=about)
+    add("--workers", type=console.whole, metavar="N", help=about)
     about = "no report.html: drawing its figures takes longer than the filter and smoother do"
     add("--no-report", action="store_false", dest="report", help=about)
     add("--quiet", action="store_true", help="print nothing but errors")
@@ -213,7 +197,7 @@ def replay(options: argparse.Namespace) -> int:
     from navfilter.commands.recordings import replay_all
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
-    return replay_all(options, replay_one, lambda: compile_first(options.quiet, vehicle))
+    return replay_all(options, replay_one, lambda: console.compile_first(options.quiet, vehicle))
 
 
 def replay_one(options: argparse.Namespace) -> int:
@@ -224,18 +208,18 @@ def replay_one(options: argparse.Namespace) -> int:
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
 
-    mission = mission_part.with_instructions(options, read(options))
+    mission = mission_part.with_instructions(options, console.read(options))
     vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), mission)
     mission, withheld = mission_part.select(options, mission, vehicle)
     formats.check(options, mission)
-    if limits := limits_of(options):  # a mistake in them shall not cost a replay
+    if limits := console.limits_of(options):  # a mistake in them shall not cost a replay
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
     if options.tiles:
         from navfilter.report.chart import check_tiles
 
         check_tiles(Path(options.tiles))
-    folder = output_folder(options.out, options.force)
+    folder = console.output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     how = {"output_rate_hz": options.output_rate}
@@ -249,7 +233,7 @@ def _backward(vehicle: Any, mission: Mission, track: Track, options: argparse.Na
     """The same mission from its end to its beginning."""
     from navfilter.playback.backward import backward
 
-    speaker(options.quiet)("replaying it backward ...")
+    console.speaker(options.quiet)("replaying it backward ...")
     return backward(vehicle, mission, track, output_rate_hz=options.output_rate)
 
 
@@ -257,8 +241,8 @@ def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
     """The vehicle with error models identified on the whole mission; says how the rounds went."""
     from navfilter.playback.replay import SETTLED, identified
 
-    compile_first(quiet)
-    say = speaker(quiet)
+    console.compile_first(quiet)
+    say = console.speaker(quiet)
     say(f"identifying on {mission.name} ({mission.duration_s / 60:.1f} min) ...")
 
     def report(number: int, apart: float) -> None:
@@ -272,9 +256,9 @@ def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     from navfilter.calibration.passes import smoothed
     from navfilter.playback.replay import replay as replay_mission
 
-    compile_first(quiet, vehicle)
+    console.compile_first(quiet, vehicle)
     when = f" from {mission.begin_utc}" if mission.begin_utc else ""
-    speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min{when}) ...")
+    console.speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min{when}) ...")
     run = smoothed if "passes" in how else replay_mission
     return run(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
@@ -309,19 +293,19 @@ def _write(
         others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]
         beside = {_unlike(other.label, tracks): other for other in others}
         tiles = getattr(options, "tiles", None)
-        with figures_bar(options.quiet) as bar:
+        with console.figures_bar(options.quiet) as bar:
             write_report(tracks, mission, report, bar.update, assessment, beside, tiles)
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
         _print_result(tracks, mission, assessment)
-        show(f"Written to {folder}{os.sep}:")
-        show(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
+        console.show(f"Written to {folder}{os.sep}:")
+        console.show(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
     verdict = assessment.verdict
     if verdict.trusted:
         return 0
     where = report if drawn else folder / "summary.json"
-    complain(f"navfilter: {verdict.headline} See {where}.")
+    console.complain(f"navfilter: {verdict.headline} See {where}.")
     return NOT_TRUSTED if verdict.wrong else NOT_JUDGED
 
 
@@ -336,13 +320,13 @@ def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assess
 
     result = list(tracks.values())[-1]
     if mission.truth is not None:
-        show(f"{headline_table(tracks, mission)}\n")
-    show(f"{sensor_table(result)}\n")
+        console.show(f"{headline_table(tracks, mission)}\n")
+    console.show(f"{sensor_table(result)}\n")
     for line in assessment.lines():
-        show(line)
+        console.show(line)
     for learnt in assessment.learnt:
-        show(f"learnt: {learnt}")
+        console.show(f"learnt: {learnt}")
     if assessment.lights:
-        show(lights_text(assessment.lights))
-    show(f"\n{assessment.verdict}")
-    show(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")
+        console.show(lights_text(assessment.lights))
+    console.show(f"\n{assessment.verdict}")
+    console.show(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")

@@ -184,7 +184,7 @@ def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable
     """What a run writes over and over is no file of somebody's, and none that the same run needs."""
     from navfilter.io.vehicle_toml import vehicle_file
     from navfilter.service.disk import StateFile
-    from navfilter.service.log import LOG_FILE
+    from navfilter.service.log import LOG_FILE, is_own_file
     from navfilter.service.supervision import HealthFile
 
     needed = [vehicle_file(options.vehicle), *filter(None, (options.start, options.input, log))]
@@ -205,11 +205,11 @@ def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable
         for name in both:
             if any(_same(name, other) for other in needed):
                 raise ValueError(f"{flag} {name} would be written over, and this run needs it. Give another name.")
-        if os.path.lexists(path) and not _is_file(path):  # a link would be replaced itself: /dev/stdout, say
+        if os.path.lexists(path) and not is_own_file(path):  # a link would be replaced itself: /dev/stdout, say
             raise ValueError(f"{flag} {path} is no file: it would be replaced. Give another name.")
         needed += both
         for path in both:
-            if not _is_file(path) or path.stat().st_size == 0 or is_one(path):
+            if not is_own_file(path) or path.stat().st_size == 0 or is_one(path):
                 continue
             if options.resume is None:
                 raise ValueError(
@@ -223,11 +223,6 @@ def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable
 def _with_part(path: Path) -> list[Path]:
     """A file, and what is written beside it."""
     return [path, path.with_name(f"{path.name}.part")]
-
-
-def _is_file(path: Path) -> bool:
-    """And no link to one."""
-    return path.is_file() and not path.is_symlink()
 
 
 def _same(path: Path, other: str | Path) -> bool:

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from navfilter.evaluation.consistency import figures_of
 from navfilter.filter.records import Residuals
 from navfilter.foundation.arguments import intervals, needs, within
+from navfilter.foundation.quoting import json_value
 from navfilter.models.mission import Stream
 from navfilter.track.track import Track
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "number_text"]
 
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
@@ -169,16 +170,16 @@ class Comparison:
             if any(found):
                 rows.append([f"NEES {name}", *(_marked(f and f["mean"], f and f["band"]) for f in found)])
                 rows.append([f"{name} beyond 3 sigma [%]", *(_percent(f and f["outside_3_sigma"]) for f in found)])
-        rows.append(["NIS, mean of the sensors", *(_number(run["nis"], "{:.3f}") for run in self.runs.values())])
+        rows.append(["NIS, mean of the sensors", *(number_text(run["nis"], "{:.3f}") for run in self.runs.values())])
         for name in self._sensors():
             rows += self._sensor_rows(name)
-        rows.append(["processor time [s]", *(_number(run["cpu_s"], "{:.1f}") for run in self.runs.values())])
+        rows.append(["processor time [s]", *(number_text(run["cpu_s"], "{:.1f}") for run in self.runs.values())])
         return rows
 
     def _cells(self, key: str, form: str, ratio: bool) -> Iterator[str]:
         values = {label: run[key] for label, run in self.runs.items()}
         for label, value in values.items():
-            yield _number(value, form) + (self._ratio(label, values) if ratio else "")
+            yield number_text(value, form) + (self._ratio(label, values) if ratio else "")
 
     def _ratio(self, label: str, values: Mapping[str, float | None]) -> str:
         """The ratio to the baseline in brackets; nothing for the baseline itself."""
@@ -196,7 +197,7 @@ class Comparison:
         sensors = {label: run["sensors"].get(name) for label, run in self.runs.items()}
         unit = next(s["unit"] for s in sensors.values() if s)
         rms = {label: _rms_of_axes(s) for label, s in sensors.items()}
-        cells = [_number(rms[label], "{:.4g}") + self._ratio(label, rms) for label in sensors]
+        cells = [number_text(rms[label], "{:.4g}") + self._ratio(label, rms) for label in sensors]
         return [
             [f"{name}: NIS", *(_marked(s and s["nis"], s and s["band"]) for s in sensors.values())],
             [f"{name}: prediction error rms [{unit}]", *cells],
@@ -229,7 +230,7 @@ class Comparison:
             "windows_s": windows,
             "baseline": self.baseline,
             "remarks": list(self.remarks),
-            "runs": _plain(self.runs),
+            "runs": json_value(self.runs),
         }
 
     def to_frame(self) -> pd.DataFrame:
@@ -241,7 +242,8 @@ class Comparison:
         return pd.DataFrame.from_dict({label: dict(_flat(run)) for label, run in self.runs.items()}, orient="index")
 
 
-def _number(value: float | None, form: str) -> str:
+def number_text(value: float | None, form: str) -> str:
+    """A number, or a dash where there is none."""
     return "–" if value is None else form.format(value)
 
 
@@ -268,12 +270,6 @@ def _white_cell(sensor: Mapping[str, Any] | None) -> str:
         return "–"
     largest = max((a["largest_acf"] for a in tested), key=abs)
     return ("white " if all(a["is_white"] for a in tested) else "") + f"{largest:+.3f}"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, tuple) else value
 
 
 def _flat(run: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

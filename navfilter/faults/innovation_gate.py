@@ -172,7 +172,7 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, un
     make it believe in any attitude.
     """
     limit = channel.limits[dof]
-    patience_s = channel.sensor.gate_timeout_s * (settings.PATIENT if channel.faults.astray else 1.0)
+    patience_s = channel.sensor.gate_timeout_s * (1.0 if math.isnan(channel.faults.astray_m) else settings.PATIENT)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
     widens = periods >= 1 and nis <= limit * 2.0 ** min(periods, 500)
     if not widens and not _runs_away(channel, time_s, unseen):

@@ -15,11 +15,13 @@ from navfilter.faults.imu import bias_drift
 from navfilter.faults.imu.gyro_scale import GyroScaleTest
 from navfilter.faults.imu.monitor import CONDITIONS
 from navfilter.faults.noise_scale import NoiseScale
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.faults.settings import UNDISPUTED_S
 from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.kernels import imu_checks
+from navfilter.kernels.batch import LOOK_EVERY_S
+from navfilter.kernels.bias_drift import TIME_S
 
 __all__ = ["MonitorMemory", "SensorFaults"]
 
@@ -129,8 +131,12 @@ class SensorFaults:
         since = bool(self.alone) or self.partly_since_s > -math.inf or self.astray
         return since or offset or (self.scatter is not None and self.scatter.worthless)
 
+    def ordinary(self, offset: bool) -> bool:
+        """Whether its next reading is the kernel's to judge, live."""
+        return not math.isnan(self.agreed_s) and math.isnan(self.rejected_since_s) and not self.doubted(offset)
+
     def doubted(self, offset: bool) -> bool:
-        """Whether its next reading is Python's to judge, live."""
+        """Whether more is looked for in its next reading than its gate tells."""
         return self.contested(offset) or self.scatters or self.refused is not None
 
     def condition(self, offset: bool) -> str:
@@ -155,7 +161,7 @@ class MonitorMemory:
     ----------
     imu : ndarray, shape (7, 22) or (0, 22)
         What is known of the axes of the inertial unit, see `navfilter.kernels.imu_checks`.
-    bias_glr : ndarray, shape (4, J + 2, n + 3) or (0, J + 2, n + 3)
+    bias_glr : ndarray, shape (4, J + 2, n + 3) or (0, 0, 0)
         What is known of jumps of its biases, see `navfilter.kernels.bias_glr`.
     channels : dict of str to SensorFaults
     bias_drift : ndarray, shape (16, 13)
@@ -170,6 +176,23 @@ class MonitorMemory:
     channels: dict[str, SensorFaults]
     bias_drift: Array = field(default_factory=bias_drift.fresh)
     silent: tuple[float, ...] = ()
+
+    @property
+    def has_excluded(self) -> bool:
+        """Whether something else stands in place of what an axis of the inertial unit says."""
+        return any(code > imu_checks.NOISY for code in self.imu[: imu_checks.UNIT, imu_checks.HEEDED].tolist())
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether an axis of the inertial unit is left out, or soon will be."""
+        return len(self.imu) > 0 and (self.imu.item(imu_checks.UNIT, imu_checks.OFF_S) > 0.0 or self.has_excluded)
+
+    def look_s(self, inertial: bool) -> float:
+        """Time of the reading by which the biases of gyros, if there are any, are looked at next [s]."""
+        if not inertial:
+            return math.inf
+        last_s = self.bias_drift.item(-1, TIME_S)
+        return -math.inf if math.isnan(last_s) else (math.floor(last_s / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S
 
     def problem(self) -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is."""

@@ -58,7 +58,7 @@ class FaultMonitor:
         self.sample_limits, self.cross_checks = self.imu_monitor.limits, self.glr.active
         self.changes: list[Change] = []
         self.slope: float | None = None
-        self.is_tilted = False
+        self.is_tilted = self.has_pending = False
         self._gyros: tuple[Group | None, Array] = (None, np.zeros((3, 0)))
 
     #: Whether a kernel may take readings in batches without asking for each.
@@ -129,16 +129,20 @@ class FaultMonitor:
     def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
         """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
         (nis, dof, used), let_in = channel.verdict.tolist(), False
-        described = noise_scale.note_reading(filter, channel, time_s, frozen)
+        described, worthless = noise_scale.note_reading(filter, channel, time_s, frozen)
         if used:
             policy.used(filter, channel, time_s)
         elif dof and math.isfinite(nis):
-            let_in = yield from policy.rejected(filter, channel, time_s, nis, int(dof), frozen)
+            let_in = yield from policy.rejected(filter, channel, time_s, nis, int(dof), worthless)
+        self.has_pending = bool(self.changes or self.is_tilted or self.slope is not None)
         return let_in, described
 
     def pending(self, filter: FilterState) -> Actions:
         """What refused readings have made necessary, before the next input."""
-        yield from policy.pending(filter)
+        yield from bias_drift.check_biases(filter)
+        if self.has_pending:
+            self.has_pending = False
+            yield from policy.pending(filter)
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
@@ -170,14 +174,10 @@ class FaultMonitor:
         memory = filter.memory
         w = memory.monitor.imu
         if not batch.gravity_is_due(w, memory.nav, memory.P, filter.period_s):
-            before = self.imu_monitor.has_excluded(w)
+            before = memory.monitor.has_excluded
             yield from self.imu_monitor.heed(filter)
-            if before or self.imu_monitor.has_excluded(w):
+            if before or memory.monitor.has_excluded:
                 yield from realignment.after_fault(filter)
-
-    def has_excluded(self, memory: MonitorMemory) -> bool:
-        """Whether something else stands in place of what an axis of the unit says."""
-        return self.imu_monitor.has_excluded(memory.imu)
 
     def excluded_axes(self, memory: MonitorMemory) -> list[str]:
         """Names of the axes that something else stands in for."""
@@ -185,7 +185,7 @@ class FaultMonitor:
 
     def propagation(self, memory: MonitorMemory) -> str:
         """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
-        return self.imu_monitor.lane(memory.imu)
+        return "inertial" if self.imu_monitor.active and not memory.has_excluded else "dead-reckoning"
 
     def conditions(self, memory: MonitorMemory) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""
@@ -193,7 +193,8 @@ class FaultMonitor:
 
     def on_silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
-        yield from realignment.attend(filter, missing)
+        if missing or filter.memory.monitor.silent:
+            yield from realignment.attend(filter, missing)
 
     def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
         """Take what the filter has done; value: of the reading."""

@@ -20,13 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults.allowed_change import wander
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import noise_scale as kernels
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["NoiseScale", "facts", "note_reading", "noted", "variances"]
+__all__ = ["NoiseScale", "facts", "facts_size", "note_reading", "noted", "size", "variances"]
 
 Array = NDArray[np.float64]
 
@@ -61,7 +60,7 @@ class NoiseScale:
 
     def is_of(self, axes: int) -> bool:
         """Whether a kernel can go by it, of a sensor of so many axes: it may have come from outside."""
-        if not isinstance(self.noted, np.ndarray) or self.noted.shape != (kernels.size(axes),):
+        if not isinstance(self.noted, np.ndarray) or self.noted.shape != (size(axes),):
             return False
         count, place = self.noted[[kernels.COUNT, kernels.NEXT]]
         return bool(0.0 <= count <= kernels.MOST and 0.0 <= place < kernels.MOST)
@@ -72,12 +71,22 @@ class NoiseScale:
         return None if noted[kernels.TIME_S] == -math.inf else cls(noted)
 
 
+def size(axes: int) -> int:
+    """Elements of what is remembered of a sensor of so many axes."""
+    return kernels.LAST + 3 * axes + 2 * axes * kernels.MOST
+
+
+def facts_size(axes: int) -> int:
+    """Elements of its facts."""
+    return kernels.BY_AXIS + 3 * axes + max(3 * kernels.MOST, axes * (axes + 1))
+
+
 def noted(channel: Channel) -> Array:
     """What is noted of a channel, to be written to."""
     kept = channel.faults.scatter
     if kept is not None:
         return kept.noted.copy()
-    fresh = np.zeros(kernels.size(channel.axes))
+    fresh = np.zeros(size(channel.axes))
     fresh[kernels.TIME_S] = -math.inf
     return fresh
 
@@ -90,10 +99,11 @@ def facts(filter: FilterState, channel: Channel) -> Array:
     velocity = sensor.observes is Observable.VELOCITY_BODY
     kind = kernels.HEADING if sensor.observes.north is not None else kernels.VELOCITY if velocity else kernels.OTHER
     height = sensor.observes is Observable.HEIGHT
-    known = np.zeros(kernels.facts_size(a))
+    known = np.zeros(facts_size(a))
     known[kernels.LASTING], known[kernels.KIND] = filter.inertial and (velocity or height), kind
     known[kernels.PERIOD_S], known[kernels.DRIVE_PERIOD_S] = channel.period_s, filter.period_s
-    known[kernels.BY_AXIS : kernels.BY_AXIS + a] = wander(channel, channel.period_s)
+    change = channel.wander(channel.period_s) if channel.offset else np.minimum(channel.step, channel.most)
+    known[kernels.BY_AXIS : kernels.BY_AXIS + a] = change
     known[kernels.BY_AXIS + a : kernels.BY_AXIS + 2 * a] = channel.group.r
     channel.facts = known
     return known
@@ -104,8 +114,8 @@ def variances(kept: NoiseScale, plain: Array) -> Array:
     return plain if kept.worthless else np.asarray(plain + kept.excess)
 
 
-def note_reading(filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> float:
-    """Take a reading, and return its NIS by the description of its sensor.
+def note_reading(filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> tuple[float, bool]:
+    """Take a reading; returns its NIS by the description of its sensor, and whether it is evidence of nothing.
 
     Parameters
     ----------
@@ -119,11 +129,11 @@ def note_reading(filter: FilterState, channel: Channel, time_s: float, frozen: b
     """
     kept, (nis, dof, used) = channel.faults.scatter, channel.verdict.tolist()
     if (used and (kept is None or not kept.watched)) or not (dof and math.isfinite(nis)):
-        return nis  # a stretch does not tell these
+        return nis, frozen  # a batch does not tell these
     memory, note, at = filter.memory, noted(channel), channel.places
     north = -1 if channel.sensor.observes.north is None else channel.sensor.observes.north
-    ignored = frozen or channel.faults.aside is not None or filter.monitor.imu_monitor.busy(memory.monitor.imu)
+    ignored = frozen or channel.faults.aside is not None or memory.monitor.is_busy
     of = note, facts(filter, channel), channel.mem, int(at[5]), int(at[8]), channel.R, north
     nis = kernels.update_scale(*of, memory.P, memory.nav, filter.drive_output, float(time_s), bool(ignored))
-    channel.faults.scatter = NoiseScale.of(note)
-    return float(nis)
+    channel.faults.scatter = scatter = NoiseScale.of(note)
+    return float(nis), frozen or (scatter is not None and scatter.worthless)

@@ -26,9 +26,9 @@ from navfilter.faults import (
 )
 from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
-from navfilter.faults.imu import acceleration, bias_drift, gyro_scale, realignment
+from navfilter.faults.imu import acceleration, gyro_scale, realignment
 from navfilter.faults.protection_level import IN_LINE
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
@@ -42,7 +42,7 @@ __all__ = ["REJECTED", "pending", "rejected", "used"]
 Array = NDArray[np.float64]
 
 
-def rejected(filter: FilterState, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> Actions:
+def rejected(filter: FilterState, channel: Channel, time_s: float, nis: float, dof: int, worthless: bool) -> Actions:
     """After a rejection: whether the reading is let in after all.
 
     The rules of `REJECTED` are asked in their order; the first that answers decides.
@@ -56,8 +56,8 @@ def rejected(filter: FilterState, channel: Channel, time_s: float, nis: float, d
         Time and normalised innovation squared of the reading.
     dof : int
         Components used in it.
-    frozen : bool
-        The value has not changed for suspiciously long: it proves nothing.
+    worthless : bool
+        The value has not changed for suspiciously long, or its sensor says nothing: it proves nothing.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def rejected(filter: FilterState, channel: Channel, time_s: float, nis: float, d
     kept = channel.faults
     if math.isnan(kept.rejected_since_s):
         kept.rejected_since_s, kept.refused_speed = time_s, math.hypot(*filter.memory.nav[3:6].tolist())
-    reading = Rejected(time_s, nis, dof, frozen)
+    reading = Rejected(time_s, nis, dof, worthless)
     for rule in REJECTED:
         answer = yield from rule(filter, channel, reading)
         if answer is not None:
@@ -80,17 +80,16 @@ class Rejected(NamedTuple):
     time_s: float
     nis: float
     dof: int
-    frozen: bool
+    worthless: bool
 
 
 def _frozen_or_worthless(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A value that does not change, or a sensor that says nothing: no reading is evidence."""
     yield from ()
-    kept = channel.faults
-    if reading.frozen or (kept.scatter is not None and kept.scatter.worthless):
-        kept.refused = None
-        return False
-    return None
+    if not reading.worthless:
+        return None
+    channel.faults.refused = None
+    return False
 
 
 def _fix_out_of_reach(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
@@ -110,8 +109,7 @@ def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejec
 def _gyro_scale(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A compass that contradicts a gyro's scale or sign: the gyro is left out. Decides nothing of the reading."""
     if channel.sensor.observes.north is not None:
-        whole = innovation_gate.whole_heading(channel, filter.memory.x)
-        yield from gyro_scale.refused(filter, channel, reading.time_s, whole)
+        yield from gyro_scale.refused(filter, channel, reading.time_s)
 
 
 def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
@@ -175,7 +173,7 @@ def _dead_reckoning_compass(filter: FilterState, channel: Channel, reading: Reje
 
 def _implausible_bias(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A coloured error that its model does not allow: it begins afresh."""
-    if channel.beyond_belief(filter.memory.x):
+    if channel.is_bounded and channel.beyond_belief(filter.memory.x):
         yield from _gone_astray(filter, channel)
         return False
     channel.faults.astray_m += math.hypot(*filter.memory.nav[3:6].tolist()) * channel.period_s
@@ -232,11 +230,9 @@ def _reopen_known_fault(filter: FilterState, channel: Channel, reading: Rejected
 def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A gate that has refused for its time-out doubles, and again; where it may be depth or height, both are opened."""
     P, time_s = filter.memory.P, reading.time_s
-    disproved = sensor_bias.disproved(channel, time_s)
     unseen = filter.vehicle.drive.gap_force_sd if filter.inertial else 0.0  # type: ignore[attr-defined]
-    widening = (P, channel, time_s, reading.nis, reading.dof, unseen)
-    added = None if disproved else innovation_gate.widening(*widening)
-    if added is None:
+    added = innovation_gate.widening(P, channel, time_s, reading.nis, reading.dof, unseen)
+    if added is None or sensor_bias.disproved(channel, time_s):
         return False
     if depth_fault.undecided(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
@@ -365,7 +361,6 @@ def _gone_astray(filter: FilterState, channel: Channel) -> Iterator[Action]:
 
 def pending(filter: FilterState) -> Iterator[Action]:
     """Do what refused readings have made necessary, before the next input."""
-    yield from bias_drift.check_biases(filter)
     if filter.monitor.slope is not None:
         slope, filter.monitor.slope = filter.monitor.slope, None
         yield from filter.monitor.glr.accused(filter, slope)

@@ -11,21 +11,24 @@ Nothing here changes anything: each function returns what the filter has to add.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings, velocity_fault
-from navfilter.faults.allowed_change import reckoned, wander
-from navfilter.faults.refusals import RejectionRun
+from navfilter.faults.heading_fault import TrackRotationFit
+from navfilter.filter.channel_model import changes
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 
 __all__ = [
     "JUDGED",
+    "RejectionRun",
     "add_rejection",
     "alike",
     "as_usual_until_s",
@@ -40,6 +43,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 #: What an offset can be told of, by refused readings that agree: these read the state itself.
 JUDGED = (Observable.FIX, Observable.HEIGHT, Observable.HEADING, Observable.ATTITUDE, Observable.VELOCITY_BODY)
@@ -49,6 +53,72 @@ SAME_S = 1e-6
 #: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
 #: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
 SURFACED = chi_square_limit(0.99, np.arange(1, 4))
+
+
+@dataclass(frozen=True)
+class RejectionRun:
+    """The readings of one sensor that have been refused on end, seen as one offset.
+
+    Attributes
+    ----------
+    confirmed : bool
+        The sensor had confirmed the state for long, until right before.
+    jumped : bool
+        It had, and was far beyond its gate at once.
+    first, offset, variance : tuple of float
+        Residual of the first of them; by how much they are off, and the variance of that, per axis; NaN where missing.
+    seen : tuple of float
+        Variance of the state that the last of them saw, per axis.
+    began_s, last_s : float
+        Times of the first and the last reading that agree [s].
+    count : int
+        How many agree.
+    misfit : float
+        Sum of their normalised innovations squared about the offset.
+    dof : int
+        Components in that sum.
+    odd : bool
+        The last reading did not agree.
+    course : TrackRotationFit or None
+        Of fixes: the way that they have made, beside the one reckoned meanwhile.
+    back : int
+        Of a sensor that has jumped: so many of the last ones on end agree with the state as if it had not.
+    """
+
+    confirmed: bool
+    jumped: bool
+    first: tuple[float, ...]
+    offset: tuple[float, ...]
+    variance: tuple[float, ...]
+    seen: tuple[float, ...]
+    began_s: float
+    last_s: float
+    count: int = 1
+    misfit: float = 0.0
+    dof: int = 0
+    odd: bool = False
+    back: int = 0
+    course: TrackRotationFit | None = None
+
+    @property
+    def scatters(self) -> bool:
+        """Whether they differ by more than the sensor's noise and dead reckoning explain."""
+        return self.dof > 0 and self.misfit > _limit(self.dof)
+
+    def agree(self, span_s: float) -> bool:
+        """Whether there are enough of them, over a long enough time, and their scatter is that of the sensor."""
+        return self.count >= settings.RUN_LEAST and self.last_s - self.began_s >= span_s and not self.scatters
+
+    def from_the_first(self) -> bool:
+        """Whether the sensor jumped by the whole offset at once: the first refused reading showed it already."""
+        off = np.array(self.first) - np.array(self.offset)
+        size = np.abs(np.array(self.offset))
+        return self.jumped and bool(np.nanmax(np.abs(off), initial=0.0) <= 0.5 * np.nanmax(size, initial=0.0))
+
+
+@lru_cache(maxsize=64)  # of a sensor that is refused for good it grows with each reading
+def _limit(dof: int) -> float:
+    return float(chi_square_limit(1.0 - settings.TURNED_DOWN, dof))
 
 
 # ---------------------------------------------------------------- hearing refused readings
@@ -104,7 +174,7 @@ def add_rejection(
     dt = max(time_s - before.last_s, 0.0)
     # what other sensors have corrected meanwhile is what the variance has lost
     corrected = np.maximum(np.array(before.seen) - seen, 0.0)
-    slack = corrected + wander(channel, dt) + reckoned(channel.sensor, P, speed, dt, drive_output, period_s)
+    slack = corrected + channel.wander(dt) + reckoned(channel.sensor, P, speed, dt, drive_output, period_s)
     offset, variance = np.array(before.offset), np.array(before.variance) + slack
     nu, S = residual - offset, variance + white
     channel.wrap(nu)
@@ -313,7 +383,7 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
     off = channel.C[:, places - channel.group.start]
     known = np.einsum("ij,jk,ik->i", off, P[np.ix_(places, places)], off)
     none = np.all((off @ x[places - 9]) ** 2 <= settings.CHANCE**2 * known)
-    return bool(none and np.all(known <= np.diag(channel.R) + wander(channel, math.inf, with_offset=False)))
+    return bool(none and np.all(known <= np.diag(channel.R) + _usual_wander(channel)))
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:
@@ -334,6 +404,38 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
     if channel.faults.either and not float(constant @ constant) > channel.limits[1] * float(seen.sum()):
         return False  # the state is not known well enough to tell whether it is the gauge that was off
     meanwhile = (settings.AGAIN * constant) ** 2
-    squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)
+    squares = plain**2 / (seen + np.diag(channel.R) + _usual_wander(channel) + meanwhile)
     dof = int(np.count_nonzero(np.isfinite(squares)))
     return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])
+
+
+def _usual_wander(channel: Channel) -> Array:
+    """Variance by which its coloured error may ever change but for the constants of a jump, shape (axes,)."""
+    C = channel.C.copy()
+    C[:, channel.offsets] = 0.0
+    step, most = changes(channel.group, C)
+    return np.asarray(np.minimum(step * 1e9, most))
+
+
+# ---------------------------------------------------------------- dead reckoning meanwhile
+def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which dead reckoning may err in a time, in the units of a sensor; `kernels.noise_scale` has it,
+    too."""
+    if sensor.observes.north is not None:
+        return float(_lasting(P, drive_output)[:3].max() * dt**2 + drive_output[:3, -1].max() * period_s * dt)
+    if sensor.observes is Observable.VELOCITY_BODY:
+        tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
+        return float((_lasting(P, drive_output)[3:].max() + tilt) * dt**2) + _walked(dt, drive_output, period_s)
+    return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
+
+
+def _walked(dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which the noise of accelerometers does [m^2/s^2]."""
+    return float(drive_output[3:, -1].max() * period_s * dt)
+
+
+def _lasting(P: Array, drive_output: Array) -> Array:
+    """Variances of the errors of a drive's axes that last."""
+    C = drive_output[:, :-1]
+    m = 9 + C.shape[1]
+    return np.asarray(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C))

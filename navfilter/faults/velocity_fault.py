@@ -60,7 +60,7 @@ def jumped(filter: FilterState, channel: Channel, jump: Array) -> VelocityFault 
         By how much it is off [m/s].
     """
     speed, by = math.hypot(*filter.memory.nav[3:6].tolist()), np.nan_to_num(jump)
-    carried = filter.inertial and not filter.monitor.imu_monitor.has_excluded(filter.memory.monitor.imu)
+    carried = filter.inertial and not filter.memory.monitor.has_excluded
     if not channel.ground or not carried or _size(by) <= settings.VELOCITY_SHARE * speed:
         return None
     says = _size(channel.reading) > settings.SAYS * _size(by)

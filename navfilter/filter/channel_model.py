@@ -18,7 +18,7 @@ from navfilter.models.fault_bias import currents, deviations, has_offset, offset
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
-__all__ = ["MOST_SDS", "ChannelModel", "believed", "delayed_facts"]
+__all__ = ["MOST_SDS", "ChannelModel", "believed", "changes", "delayed_facts"]
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -50,6 +50,8 @@ class ChannelModel(NamedTuple):
         Of the gate, and the largest squares of the slow error that are still believed.
     slow : list of float
         Variance by axis of what its error states begin with.
+    step, most : ndarray, shape (axes,)
+        See `changes`.
     content : ndarray
         What kernels are told of it, see `navfilter.kernels.batch`.
     ends : tuple of int
@@ -65,6 +67,8 @@ class ChannelModel(NamedTuple):
     deviations: tuple[Places, Array]
     limits: Array
     slow: list[float]
+    step: Array
+    most: Array
     content: Array
     ends: tuple[int, ...]
 
@@ -111,6 +115,7 @@ class ChannelModel(NamedTuple):
             (deviating, of_rad),
             limits,
             slow.diagonal().tolist(),
+            *changes(group, group.C),
             np.concatenate([part.ravel() for part in parts]),
             (0, *accumulate(part.size for part in parts)),
         )
@@ -118,6 +123,21 @@ class ChannelModel(NamedTuple):
     def is_of(self, sensor: Sensor, group: Group, variance: Array) -> bool:
         """Whether it is that of this sensor, these states, and this white variance of the gyros' rates."""
         return self.sensor is sensor and self.Phi is group.Phi and bool((self.variance == variance).all())
+
+
+def changes(group: Group, C: Array) -> tuple[Array, Array]:
+    """Variance by which a coloured error changes in a period, and by which it may differ at two times, by axis.
+
+    Parameters
+    ----------
+    group : Group
+        Its states.
+    C : ndarray, shape (axes, errors)
+        Its rows of them.
+    """
+    e = group.errors
+    P0, off = group.P0[:e, :e], group.Phi[:e, :e] - np.eye(e)
+    return np.diag(C @ (off @ P0 @ off.T + group.Q[:e, :e]) @ C.T), 2.0 * np.diag(C @ P0 @ C.T)
 
 
 def believed(sensor: Sensor, group: Group) -> Array:

@@ -262,7 +262,7 @@ class Filter:
     def correct_stationary(self, tell: Listening) -> None:
         """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
         felt = self.vehicle.drive.felt(self.memory.drv, self.stationary_after * self.period_s) if self._rest else None
-        if felt is None or self.monitor.has_excluded(self.memory.monitor):
+        if felt is None or self.memory.monitor.has_excluded:
             return
         for channel in self._rest:
             reading = channel.sensor.felt(*felt, self.memory.nav[3:6], self.memory.P[3:6, 3:6])
@@ -588,10 +588,7 @@ class Filter:
 
 
 #: Steps of the drives, as the kernel takes them.
-TRACED = {
-    strapdown.imu_steps: strapdown.imu_traced,
-    strapdown.dead_reckoning_steps: strapdown.dead_reckoning_traced,
-}
+TRACED = {strapdown.imu_steps: strapdown.imu_traced, strapdown.dead_reckoning_steps: strapdown.dead_reckoning_traced}
 
 
 def shared(

@@ -70,12 +70,7 @@ class Adoption(NamedTuple):
 
 
 def adoption(
-    before: Vehicle,
-    layout: Layout,
-    sensor: str,
-    error: Errors,
-    afresh: bool = False,
-    known: Sequence[Adoption] = (),
+    before: Vehicle, layout: Layout, sensor: str, error: Errors, afresh: bool = False, known: Sequence[Adoption] = ()
 ) -> Adoption:
     """What a change of one model takes where a vehicle is laid out like this: what is `known` of it, or worked out.
 

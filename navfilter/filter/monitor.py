@@ -53,36 +53,29 @@ class FilterState(Protocol):
     @property
     def time_s(self) -> float:
         """Mission time of the state [s]."""
-        ...
 
     @property
     def nav(self) -> Array:
         """Nominal state, see `NavState.pack`; shape (17,)."""
-        ...
 
     @property
     def x(self) -> Array:
         """Estimated error states behind the nine of navigation, shape (n - 9,)."""
-        ...
 
     @property
     def P(self) -> Array:
         """Covariance of all error states as of the last fold, shape (n, n)."""
-        ...
 
     @property
     def counts(self) -> dict[str, int]:
         """Irregularities so far."""
-        ...
 
     @property
     def state(self) -> NavState:
         """The state with its covariance, now."""
-        ...
 
     def described_models(self, others: Mapping[str, Errors]) -> dict[str, Errors]:
         """Error models put in force since the start, or others, without the constants of sensors that have jumped."""
-        ...
 
 
 class Monitor(Protocol):
@@ -98,24 +91,26 @@ class Monitor(Protocol):
         It looks for jumps of the unit's biases, reading by reading.
     in_batches : bool
         Whether a kernel may take readings in batches without asking for each.
+    has_pending : bool
+        The readings that were refused last have made something necessary, see `pending`.
     """
 
     counted: tuple[str, ...]
     sample_limits: Array
     cross_checks: bool
     in_batches: bool
+    has_pending: bool
 
     def initial_memory(self, filter: FilterState, memory: FilterMemory) -> Any:
-        """Its memory before the first input; that of the filter has none yet."""
-        ...
+        """Its memory before the first input, which says itself whether it `has_excluded` an axis of the unit; that of
+        the filter has none yet.
+        """
 
     def restore(self, memory: Any, channels: Mapping[str, Channel]) -> None:
         """Let every channel have what is remembered of its sensor, as `Channel.faults`."""
-        ...
 
     def problem(self, memory: Any, channels: Mapping[str, Channel]) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is."""
-        ...
 
     def transferred(self, filter: FilterState, memory: FilterMemory, layout: Layout, given: FilterMemory) -> Any:
         """Its memory where a filter begins anew from the state of another one, with these states.
@@ -130,76 +125,55 @@ class Monitor(Protocol):
         given : FilterMemory
             Of the other one.
         """
-        ...
 
     # ---------------------------------------------------------------- measurements
     def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
         """Limits of the gate for a reading, see ``Channel.limits``; and its white variances, empty where they are those
         of the error model.
         """
-        ...
 
     def is_stale(self, filter: FilterState, channel: Channel, time_s: float) -> bool:
         """Whether a reading that has the value of the one before says nothing new."""
-        ...
 
     def after_gate(self, filter: FilterState, channel: Channel, time_s: float, frozen: bool) -> Actions:
         """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
-        ...
 
     def pending(self, filter: FilterState) -> Actions:
         """What refused readings have made necessary, before the next input."""
-        ...
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
         """By how much samples are to differ from one to the next, shape (6,)."""
-        ...
 
     def set_imu_noise(self, memory: Any, C: Array, r: Array, output: Array) -> None:
         """Write the error models of the axes as they are believed now to `output` (6, k + 1)."""
-        ...
 
     def rate_variance(self, memory: Any, r: Array) -> Array:
         """Variance of the angular rate as it is used for lever arms, shape (3,)."""
-        ...
 
     def check_samples(self, samples: Array, memory: Any, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
-        ...
 
     def replace_missing(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
         """Write values for samples that are missing."""
-        ...
 
     def has_findings(self, memory: Any) -> bool:
         """Whether something has been found in the samples."""
-        ...
 
     def act_on_imu(self, filter: FilterState) -> Actions:
         """Act on what has been found in the samples."""
-        ...
-
-    def has_excluded(self, memory: Any) -> bool:
-        """Whether something else stands in place of what an axis of the unit says."""
-        ...
 
     def excluded_axes(self, memory: Any) -> list[str]:
         """Names of the axes that something else stands in for."""
-        ...
 
     def propagation(self, memory: Any) -> str:
         """What carries the state: "inertial", or "dead-reckoning"."""
-        ...
 
     def conditions(self, memory: Any) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""
-        ...
 
     def on_silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
-        ...
 
     def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
-        """Take what the filter has done; value: of the reading."""
-        ...
+        """Take what the filter has done, where it `cross_checks`; value: of the reading."""

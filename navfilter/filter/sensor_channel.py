@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter.channel_model import ChannelModel, delayed_facts
+from navfilter.filter.channel_model import ChannelModel, changes, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, consistency, kalman
@@ -116,6 +116,8 @@ class Channel:
         known = (one for one in (self._described, self._foreseen) if one and one.is_of(sensor, group, variance))
         self._described = own = next(known, None) or self._describe(sensor, group, variance)
         self.offset, self.limits, self.slow, self.facts = own.offset, own.limits, own.slow, None
+        self.step, self.most = own.step, own.most
+        self.is_bounded = min(own.limits[a + 1 :].tolist()) < math.inf  # what its coloured error may be
         self.deviations, self.offsets = own.deviations, own.offsets
         turned = -layout.current_of(self.name)
         if sensor.deviation is not None:
@@ -213,12 +215,16 @@ class Channel:
         first = self.group.start - 9
         return np.asarray(self.C @ x[first : first + self.group.errors])
 
+    def wander(self, seconds: float) -> Array:
+        """Variance by which its coloured error may have changed in a time, shape (axes,)."""
+        # what a jump adds goes with the speed
+        step, most = changes(self.group, self.C) if self.offset else (self.step, self.most)
+        return np.asarray(np.minimum(step * min(seconds / self.period_s, 1e9), most))
+
     def beyond_belief(self, x: Array) -> bool:
         """Whether the estimate of its coloured error is no longer believed: then no reading is used."""
-        limits = self.limits[self.axes + 1 :].tolist()
-        if min(limits) == math.inf:  # of most sensors: nothing is beyond that
-            return False
-        return any(error * error > limit for error, limit in zip(self.coloured_error(x).tolist(), limits, strict=True))
+        limits, errors = self.limits[self.axes + 1 :].tolist(), self.coloured_error(x).tolist()
+        return any(error * error > limit for error, limit in zip(errors, limits, strict=True))
 
     def jumped_by(self, x: Array) -> Array:
         """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""

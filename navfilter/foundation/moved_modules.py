@@ -33,9 +33,9 @@ filter.integrity faults.protection_level, filter.iron faults.heading_fault, filt
 filter.lane_choice faults.lane_selection, filter.layout filter.state_layout, filter.memory foundation.state_values,
 filter.offsets models.fault_bias, filter.over_ground faults.ground_velocity, filter.ramp faults.imu.acceleration,
 filter.realignment faults.imu.realignment, filter.reckoned faults.dead_reckoning_compass, filter.refusals
-faults.refusals, filter.refused faults.policy, filter.refused_way faults.alternative_path, filter.scatter
+faults.sensor_bias, filter.refused faults.policy, filter.refused_way faults.alternative_path, filter.scatter
 faults.noise_scale, filter.sensor_clock faults.clocks.sensor_clock, filter.shifts faults.imu.bias_drift, filter.sight
-filter.delayed_measurement, filter.slack faults.allowed_change, filter.smoother filter.rts_smoother, filter.snapshot
+filter.delayed_measurement, filter.slack faults.sensor_bias, filter.smoother filter.rts_smoother, filter.snapshot
 navigation.snapshot, filter.spool filter.record_store, filter.tape filter.records, filter.transplant
 navigation.lanes.state_transfer, filter.turns faults.imu.gyro_scale, filter.waiting navigation.waiting, handed_over
 foundation.arguments, identification.bands identification.cosine_spectrum, identification.lines

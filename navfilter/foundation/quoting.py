@@ -5,6 +5,7 @@ Whatever a file calls its topics stays a name: it ends no string and no comment,
 
 from __future__ import annotations
 
+import datetime
 import json
 import math
 import re
@@ -97,11 +98,13 @@ def toml_literal(value: Any) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """A value as JSON has it: arrays and tuples as lists, None for every number that is not finite."""
+    """A value as JSON has it: arrays and tuples as lists, dates as texts, None for every number that is not finite."""
     if isinstance(value, Mapping):
         return {str(key): json_value(part) for key, part in value.items()}
     if hasattr(value, "tolist"):  # of NumPy
         value = value.tolist()
     if isinstance(value, list | tuple):
         return [json_value(part) for part in value]
+    if isinstance(value, datetime.date):
+        return value.isoformat()
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -15,7 +15,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,6 +251,21 @@ def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
     }
 
 
+def _classes_held(kind: type) -> list[type]:
+    """Classes with fields that fields of a class are said to hold, be it in tuples, lists or dictionaries."""
+    hints = list(get_type_hints(kind).values()) if _has_fields(kind) else []
+    found = []
+    while hints:
+        hint = hints.pop()
+        hints += get_args(hint)
+        found += [hint] * (isinstance(hint, type) and _has_fields(hint))
+    return found
+
+
+def _has_fields(kind: type) -> bool:
+    return dataclasses.is_dataclass(kind) or hasattr(kind, "_fields")
+
+
 def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
     """The inverse of `to_arrays`.
 
@@ -259,7 +274,8 @@ def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
     arrays : dict
         As `to_arrays` made it.
     kinds : iterable of class
-        Classes that may be made from it, with all their subclasses that have been imported.
+        Classes that may be made from it, with all their subclasses that have been imported, and with the classes that
+        their fields are said to hold.
 
     Raises
     ------
@@ -270,8 +286,9 @@ def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
     queue = list(kinds)
     while queue:
         kind = queue.pop()
-        known[kind.__name__] = kind
-        queue += kind.__subclasses__()
+        if known.get(kind.__name__) is not kind:
+            known[kind.__name__] = kind
+            queue += [*kind.__subclasses__(), *_classes_held(kind)]
 
     # each element stands for one place of the state: what refers to them again and again would be larger than the file
     left = {kind: arrays[kind].size for kind in ("floats", "integers")}

@@ -45,16 +45,6 @@ LASTING, KIND, PERIOD_S, DRIVE_PERIOD_S, BY_AXIS = range(5)
 HEADING, VELOCITY, OTHER = range(3)
 
 
-def size(axes):
-    """Elements of what is remembered of a sensor of so many axes."""
-    return LAST + 3 * axes + 2 * axes * MOST
-
-
-def facts_size(axes):
-    """Elements of its facts."""
-    return BY_AXIS + 3 * axes + max(3 * MOST, axes * (axes + 1))
-
-
 @njit(cache=True, **UNCOUNTED)
 def _walked(dt, Cr, period_s):
     """Variance by which the noise of accelerometers errs in a time [m^2/s^2]; Cr: see `delayed_state.drive_outputs`."""
@@ -65,7 +55,7 @@ def _walked(dt, Cr, period_s):
 @njit(cache=True, **UNCOUNTED)
 def _reckoned(kind, P, speed, dt, Cr, period_s):
     """Variance by which dead reckoning may err in a time, in the units of a sensor; see
-    `navfilter.faults.allowed_change`.
+    `navfilter.faults.sensor_bias`.
     """
     e = Cr.shape[1] - 1
     if kind == OTHER:

@@ -230,6 +230,10 @@ class OpenLoopSeries:
         ear[open_loop_residual.ODDS : open_loop_residual.MOUNT] = memory.odds
         return ear
 
+    def for_kernel(self) -> tuple[Array, OpenLoopMemory, bool]:
+        """The same, and where it writes; whether anything is learnt."""
+        return self.series_kernel, self._memory, self.learns
+
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
         """Take over what a kernel has heard: ticks of each reading, and what it has noted of them (n, axes + 1)."""
         memory, capacity = self._memory, self._memory.ring.shape[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 from weakref import WeakMethod
 
 import numpy as np
@@ -28,11 +29,12 @@ from navfilter.learning.background import Worker
 from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest, relaid
 from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopSeries
+from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import as_described, learning_part
 
-__all__ = ["LearningSchedule", "doubtful_ticks"]
+__all__ = ["UNHEARD", "LearningSchedule", "doubtful_ticks"]
 
 Array = NDArray[np.float64]
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
@@ -42,6 +44,23 @@ _NO_RING, _NO_CURSOR, _DEAF, _NOTHING = (
     np.zeros(open_loop_residual.EAR),
     np.zeros(0),
 )
+
+
+class Heard(NamedTuple):
+    """With what a kernel listens to a sensor: what it goes on from, its ear, and where it writes; what is remembered of
+    a sensor that learns, and from when on each reading is looked at [s].
+    """
+
+    feedback: Array
+    ear: Array
+    ring: Array
+    cursor: NDArray[np.int64]
+    learner: OpenLoopMemory | None
+    learning_s: float
+
+
+#: Where nobody listens.
+UNHEARD = Heard(_NOTHING, _DEAF, _NO_RING, _NO_CURSOR, None, math.inf)
 
 
 class LearningSchedule:
@@ -192,14 +211,12 @@ class LearningSchedule:
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
         (outcome, time_s, _), listener, memory = event, self.listeners.get(channel.name), self.filter.memory
-        kind, ring, cursor, mount = (
-            open_loop_residual.NOTHING,
-            _NO_RING,
-            _NO_CURSOR,
-            self.ear(channel.name)[open_loop_residual.MOUNT :],
-        )
-        if listener is not None:
-            kind, ring, cursor, mount = listener.kind, listener.memory.ring, listener.memory.cursor, listener.mount
+        if listener is None:
+            kind, ring, cursor = open_loop_residual.NOTHING, _NO_RING, _NO_CURSOR
+            mount = self.ear(channel.name)[open_loop_residual.MOUNT :]
+        else:
+            own = listener.memory
+            kind, ring, cursor, mount = listener.kind, own.ring, own.cursor, listener.mount
         open_loop_residual.record_residual(
             *(self._fed_back, channel.mem, channel.dims, channel.places, memory.nav, channel.C, memory.x),
             *(kind, mount, ring, cursor, channel.count, self.filter.drive_output, self._gravity),
@@ -230,6 +247,15 @@ class LearningSchedule:
         if name in self.listeners:
             return self.listeners[name].series_kernel
         return _ASKED if name in self.fixes else _DEAF
+
+    def for_kernel(self, name: str) -> Heard | None:
+        """With what a kernel listens to a sensor; None where its next reading brings a model to adopt."""
+        if self._waiting:
+            return None
+        if name not in self.listeners:
+            return Heard(self._fed_back, self.ear(name), _NO_RING, _NO_CURSOR, None, self.learning_s)
+        ear, own, learns = self.listeners[name].for_kernel()
+        return Heard(self._fed_back, ear, own.ring, own.cursor, own if learns else None, self.learning_s)
 
     def _due(self, listener: OpenLoopSeries, accepted: bool) -> Sequence[Change]:
         models = listener.learnt() if listener.is_answered else None

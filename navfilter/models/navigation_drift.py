@@ -127,15 +127,12 @@ class DriftSource(Protocol):
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """Of the heading error; walk in rad/s/sqrt(Hz)."""
-        ...
 
     def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
         """Of one component of the velocity error; walk in m/s^2/sqrt(Hz)."""
-        ...
 
     def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
         """Of one component of the position error; walk in m/s/sqrt(Hz)."""
-        ...
 
 
 def _chain_transition(r: int, period_s: float) -> Array:

@@ -60,14 +60,8 @@ class EarlyRerun:
         finally:
             self._goes_back = False
 
-    def buffer_input(self, item: Array | Measurement) -> None:
-        """An input of the run, before samples are taken and after a reading has been: then what waits has its turn."""
-        self.advance_shadow(item)
-        if isinstance(item, Measurement):
-            self._worker.turn()
-
     def advance_shadow(self, item: Array | Measurement) -> None:
-        """As `give`, but nothing that waits has its turn."""
+        """Let the twin have an input of the run, before samples are taken and after a reading has been."""
         if self._nav.learning.again is None:
             self.twin = None
         elif self.twin is not None:

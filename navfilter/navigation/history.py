@@ -64,14 +64,14 @@ class History:
     def start_here(self) -> None:
         """Forget everything: the run starts anew."""
         self._marks: list[tuple[float, int, Any]] = []  # time, number of the next input, memory of the run
-        self._log: list[Array | Measurement] = []
-        self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
-        self._first = 0  # number of the first input in the log
+        #: What arrived, and by how much its stamps were moved then.
+        self.inputs: list[tuple[Array | Measurement, float]] = []
+        self._first = 0  # number of the first of these
         self.marked_s = -math.inf
 
     def change_places(self, other: History) -> None:
         """Have the past of another run over the same inputs, and that this one's."""
-        for name in ("_marks", "_log", "_shifts", "_first", "marked_s"):
+        for name in ("_marks", "inputs", "_first", "marked_s"):
             own = getattr(self, name)
             setattr(self, name, getattr(other, name))
             setattr(other, name, own)
@@ -83,7 +83,7 @@ class History:
         kept, spacing_s = (item.copy(), self.RARE_S) if isinstance(item, np.ndarray) else (item, self.SPACING_S)
         self.ready(now, spacing_s)
         outcome = run.process(item)
-        self.note(kept, shift)  # behind: the run may have begun this history anew
+        self.inputs.append((kept, shift))  # behind: the run may have begun this history anew
         return outcome
 
     def ready(self, now: float, spacing_s: float = SPACING_S) -> None:
@@ -91,27 +91,17 @@ class History:
         if now - self.marked_s >= spacing_s:
             self._mark(now)
 
-    @property
-    def due_s(self) -> float:
-        """When the next checkpoint before a reading is due [s]."""
-        return self.marked_s + self.SPACING_S
-
-    def note(self, item: Array | Measurement, shift: float) -> None:
-        """Behind an input: keep it, and by how much stamps were moved."""
-        self._log.append(item)
-        self._shifts.append(shift)
-
     def _mark(self, now: float) -> None:
         """Keep a checkpoint of the present, and forget what lies too far back."""
         self.marked_s = now
-        self._marks.append((now, self._first + len(self._log), copied(self.run.memory)))
+        self._marks.append((now, self._first + len(self.inputs), copied(self.run.memory)))
         old = 0
         while old + 1 < len(self._marks) and self._marks[old + 1][0] <= now - self.length_s:
             old += 1
         if old:
             del self._marks[:old]
             number = self._marks[0][1]
-            del self._log[: number - self._first], self._shifts[: number - self._first]
+            del self.inputs[: number - self._first]
             self._first = number
 
     def correct_late(self, reading: Measurement) -> Outcome | None:
@@ -123,16 +113,17 @@ class History:
             at = 0
         if at < 0:
             return None
-        if any(isinstance(i, Measurement) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
+        readings = (item for item, _ in self.inputs if isinstance(item, Measurement))
+        if any(item.name == reading.name and item.time_s == reading.time_s for item in readings):
             return Outcome("duplicate")
         marked_s, number, memory = self._marks[at]
-        again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
+        again = self.inputs[number - self._first :]
         self.replayed_s += self.run.time_s - marked_s
-        del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
+        del self.inputs[number - self._first :], self._marks[at:]
         self.marked_s = self._marks[-1][0] if self._marks else -math.inf
         self.run.memory = memory
         result: Outcome | None = None
-        for item in _in_place(again, shifts, reading, self.sensors):
+        for item in _in_place(again, reading, self.sensors):
             outcome = self.process(item)
             if item is reading:
                 result = outcome
@@ -142,11 +133,11 @@ class History:
         """The oldest checkpoint and everything fed since: all that is needed to come to the present state again."""
         if not self._marks:
             return self.run.memory, []
-        return self._marks[0][2], list(self._log)
+        return self._marks[0][2], [item for item, _ in self.inputs]
 
 
 def _in_place(
-    items: list[Array | Measurement], shifts: list[float], reading: Measurement, order: list[str]
+    inputs: list[tuple[Array | Measurement, float]], reading: Measurement, order: list[str]
 ) -> list[Array | Measurement]:
     """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a
     replay has it.
@@ -154,7 +145,7 @@ def _in_place(
     before: list[Array | Measurement] = []
     after: list[Array | Measurement] = []
     latest_s = reading.time_s + 1e-9
-    for item, offset_s in zip(items, shifts, strict=True):
+    for item, offset_s in inputs:
         if isinstance(item, Measurement):
             first = (item.time_s, order.index(item.name)) < (reading.time_s, order.index(reading.name))
             (before if first else after).append(item)

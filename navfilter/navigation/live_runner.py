@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults.imu import bias_drift
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.kernels import batch, open_loop_residual, strapdown
 from navfilter.learning.input_buffer import PIECE
+from navfilter.learning.schedule import UNHEARD
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -24,7 +24,7 @@ __all__ = ["ImuFastPath", "MeasurementFastPath", "prompt_sample", "prompts"]
 
 Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
-_NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
+_NO_ROWS = np.zeros((1, 1))
 _HELD = _FLOAT, np.dtype(np.int64)
 _NOT_KEPT = 0, -1, 0  # by the kernel
 
@@ -111,7 +111,7 @@ class ImuFastPath:
             kept.samples.count += 1
         if fresh:
             nav.filter.intake.taken(0)
-        history.note(given, shift)
+        history.inputs.append((given, shift))
         if nav.early_rerun.twin is not None:
             nav.early_rerun.advance_shadow(given)
         if why == batch.HEED:
@@ -123,7 +123,7 @@ class ImuFastPath:
         """Take in hand what the kernel needs."""
         nav = self._nav
         filter, memory, kept = nav.filter, nav.filter.memory, nav.learning.beginning
-        piece = _NO_RING if kept is None or not kept.samples.pieces else kept.samples.pieces[-1]
+        piece = _NO_ROWS if kept is None or not kept.samples.pieces else kept.samples.pieces[-1]
         arrays = (
             *(memory.nav, memory.x, memory.drv, self._spans, filter.intake.limits, filter.drive_sd),
             *(
@@ -197,8 +197,9 @@ class MeasurementFastPath:
             return None
         looks = False
         if time_s >= self._due_s:
-            looks = time_s >= bias_drift.due_s(self._filter)
-            if self._is_early(time_s, busy or looks):
+            looks_s = memory.monitor.look_s(self._filter.inertial)
+            looks = time_s >= looks_s
+            if self._is_early(time_s, looks_s, busy or looks):
                 return self.take(stamp_s, value, True)  # from what is in hand now
             busy = True
         why, hand, place, full = batch.REFUSED, self._hand.table, _NOT_KEPT, False
@@ -229,7 +230,8 @@ class MeasurementFastPath:
             kept.readings.count += 1
             kept.values.count += size
         if why == batch.JUDGED:
-            outcome, looks = self._judged(given, read), True
+            outcome = self._judged(given, read)
+            looks = looks or self._filter.monitor.has_pending
         else:
             outcome = _made(Outcome, ("used", nis, dof, False))
             if busy:
@@ -241,7 +243,7 @@ class MeasurementFastPath:
                     busy = True
         if looks:
             self._filter.handle_pending(nav.on_event)
-        self._history.note(given, shift)
+        self._history.inputs.append((given, shift))
         if nav.early_rerun.twin is not None:
             nav.early_rerun.advance_shadow(given)
         if self._waiting and not busy:
@@ -253,7 +255,9 @@ class MeasurementFastPath:
         channel, nav = self._channel, self._nav
         channel.reading, channel.count = read.copy(), int(self._facts[batch.TICKED])
         correction = self._filter.concluded(channel, given.time_s, False, nav.on_event)
-        nav.on_event(correction, given.value)
+        nav.change_count += 1
+        if nav.learning.listeners:  # nobody else: where the drive is cross-checked no reading comes here
+            nav.on_event(correction, given.value)
         outcome = correction.outcome
         self._watch.on_outcome(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
         return outcome
@@ -265,20 +269,22 @@ class MeasurementFastPath:
         for change in nav.learning.learn(self._name):
             nav.filter.adopt(change, nav.on_event)
 
-    def _is_early(self, time_s: float, busy: bool) -> bool:
-        """Do what comes before a reading of this time, and see when more of it is due; whether what is in hand has
-        changed by that.
+    def _is_early(self, time_s: float, looks_s: float, busy: bool) -> bool:
+        """Do what comes before a reading of this time, and see when more of it is due, biases be looked at by the
+        reading of `looks_s`; whether what is in hand has changed by that.
         """
         nav, history, learning = self._nav, self._history, self._nav.learning
-        if learning.early_s <= time_s:
+        early_s = math.inf if self._kept is None else learning.early_s
+        if early_s <= time_s:
             nav.early_rerun.before(time_s)
             same = nav.filter.memory is self._memory and learning.beginning is self._kept and not learning.is_waiting
             if not (same and learning.learning_s == self._facts[batch.LEARNT_S]):
                 nav.change_count += 1
                 return True
+            early_s = learning.early_s
         elif not busy:  # one after the other
             history.ready(self._memory.time_s)
-        self._due_s = min(bias_drift.due_s(self._filter), learning.early_s, history.due_s)
+        self._due_s = min(looks_s, early_s, history.marked_s + history.SPACING_S)
         return False
 
     def exchange(self, other: MeasurementFastPath) -> None:
@@ -292,16 +298,16 @@ class MeasurementFastPath:
         channel, memory = filter.channels[self._name], filter.memory
         known, kept = channel.spot.item(batch.EQUATION), learning.beginning
         if (
-            channel.faults.doubted(channel.offset)
-            or not (known and channel.faults.agrees)
-            or channel.predecessor is not None
+            not (known and channel.faults.ordinary(channel.offset))
+            or (channel.others and channel.predecessor is not None)
             or nav.queue.readings
-            or learning.is_waiting
+            or memory.monitor.silent
         ):
             return False
-        if memory.monitor.silent:
+        heard = learning.for_kernel(self._name) if learning.listeners else UNHEARD
+        if heard is None:
             return False
-        heads = values = _NO_RING
+        heads = values = _NO_ROWS
         if kept is not None:
             if not kept.values.pieces:
                 return False
@@ -309,16 +315,14 @@ class MeasurementFastPath:
             self._facts[batch.KEPT_AS] = kept.names.index(self._name)
         self._filter, self._memory, self._channel, self._kept = filter, memory, channel, kept
         self._watch, self._ahead_s, self._due_s = nav.sensor_monitors[self._name], filter.ahead_s, -math.inf
-        listener, ear, ring, cursor = learning.listeners.get(self._name), learning.ear(self._name), _NO_RING, _NO_CURSOR
-        if listener is not None:
-            ring, cursor = listener.memory.ring, listener.memory.cursor
-        self._ear, self._learning = ear, None if listener is None or not listener.learns else listener.memory
+        feedback, ear, ring, cursor, self._learning, learning_s = heard
+        self._ear = ear
         facts = self._facts
         facts[batch.CHANNEL], facts[batch.TICK_S] = list(filter.channels).index(self._name), channel.period_s
-        facts[batch.DIVE_S], facts[batch.LEARNT_S] = channel.dive_s, learning.learning_s
+        facts[batch.DIVE_S], facts[batch.LEARNT_S] = channel.dive_s, learning_s
         channel.gate[:] = channel.limits
         arrays = (
-            *(filter.bench, memory.nav, memory.x, memory.drv, facts, learning.feedback, ear, self._watch.figures),
+            *(filter.bench, memory.nav, memory.x, memory.drv, facts, feedback, ear, self._watch.figures),
             *(memory.P, memory.acc, filter.Phid, filter.Qd, filter.drive_output, ring, heads, values),
             *(filter.plan, channel.places, cursor),
         )

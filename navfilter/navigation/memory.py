@@ -5,34 +5,14 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from navfilter.faults.alternative_path import AlternativePath
-from navfilter.faults.clocks.burst_stamps import BurstsMemory
-from navfilter.faults.clocks.imu_clock import DriveClockMemory, ReceivedMeasurement
-from navfilter.faults.clocks.sensor_clock import Ahead
-from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
-from navfilter.faults.heading_fault import TrackRotationFit
-from navfilter.faults.imu.gyro_scale import GyroScaleTest
 from navfilter.faults.lane_selection import LaneChoiceMemory
-from navfilter.faults.memory import MonitorMemory, SensorFaults
-from navfilter.faults.noise_scale import NoiseScale
-from navfilter.faults.refusals import RejectionRun
 from navfilter.faults.sensor_monitor import SensorMonitor
-from navfilter.faults.velocity_evidence import VelocityEvidence
-from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
-from navfilter.filter.imu_intake import ImuIntakeMemory
-from navfilter.filter.model_change import Change
 from navfilter.foundation.state_values import misfit
-from navfilter.learning.input_buffer import InputBuffer, Rows
-from navfilter.learning.learner_memory import LearnerMemory
-from navfilter.learning.learning_memory import LearningMemory, RerunRequest
-from navfilter.learning.series_memory import Hop, OpenLoopMemory
-from navfilter.learning.slow_posterior import Line
-from navfilter.learning.static_recorder import RestMemory
-from navfilter.models.spectrum import Spectrum
+from navfilter.learning.learning_memory import LearningMemory
 
-__all__ = ["MEMORY", "LaneMemory", "LanesMemory", "NavigatorMemory", "check_watches"]
+__all__ = ["LaneMemory", "LanesMemory", "NavigatorMemory", "check_watches"]
 
 
 @dataclass
@@ -84,39 +64,6 @@ class LanesMemory:
     ticks: int
     levels: int
     ahead_s: float
-
-
-#: Classes that a snapshot is made of, beside error models.
-MEMORY = (
-    *(
-        NavigatorMemory,
-        FilterMemory,
-        MonitorMemory,
-        SensorFaults,
-        RejectionRun,
-        AlternativePath,
-        TrackRotationFit,
-        DeadReckoningComparison,
-        VelocityEvidence,
-        VelocityFault,
-        NoiseScale,
-        GyroScaleTest,
-    ),
-    *(ImuIntakeMemory, DriveClockMemory, BurstsMemory, ReceivedMeasurement, Ahead),
-    *(
-        LearningMemory,
-        InputBuffer,
-        Rows,
-        RerunRequest,
-        Change,
-        OpenLoopMemory,
-        Hop,
-        RestMemory,
-        LearnerMemory,
-        Line,
-        Spectrum,
-    ),
-)
 
 
 def check_watches(saved: dict[str, SensorMonitor], own: dict[str, SensorMonitor]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
+from navfilter.faults.memory import MonitorMemory
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome
@@ -32,7 +33,7 @@ from navfilter.navigation import snapshot as snapshots
 from navfilter.navigation.early_rerun import EarlyRerun
 from navfilter.navigation.history import History
 from navfilter.navigation.live_runner import prompt_sample, prompts
-from navfilter.navigation.memory import MEMORY, NavigatorMemory, check_watches
+from navfilter.navigation.memory import NavigatorMemory, check_watches
 from navfilter.navigation.status import NavigatorStatus, health_of, state_of
 from navfilter.navigation.waiting import MeasurementQueue
 
@@ -181,7 +182,7 @@ class Navigator(NavigatorStatus):
 
     def _propagate(self, samples: Array) -> None:
         if len(samples) and not (self._imu_fast_path and self._imu_fast_path.take(samples)):
-            self.early_rerun.buffer_input(samples)
+            self._note_input(samples)
             (self if self.history is None else self.history).process(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
@@ -245,9 +246,16 @@ class Navigator(NavigatorStatus):
         watch = self.sensor_monitors[reading.name]
         reading = Measurement(*reading[:4], *watch.on_arrival(reading.time_s, reading.value))
         outcome = self.correct_in_order(reading)
-        self.early_rerun.buffer_input(reading)
-        watch.on_outcome(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
+        self._note_input(reading)
+        watch.on_outcome(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.memory.nav)
         return outcome
+
+    def _note_input(self, item: Array | Measurement) -> None:
+        """Before samples are taken and after a reading has been: a twin has it, too, and what waits has its turn."""
+        if self.early_rerun.twin is not None:
+            self.early_rerun.advance_shadow(item)
+        if self.learning.worker.waiting and isinstance(item, Measurement):
+            self.learning.worker.turn()
 
     def repeat_input(self, item: Array | Measurement) -> None:
         """Take an input as another run has: samples, or a reading in its place."""
@@ -279,10 +287,11 @@ class Navigator(NavigatorStatus):
             self.filter.propagate(item, self.on_event, self._room)
             self.change_count += bool(self.filter.memory.monitor.silent)
             return None
-        ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
-        if not ahead_s > self.filter.ahead_s:
-            self.early_rerun.before(item.time_s)
-        self.learning.buffer_input(item)
+        if self.learning.beginning is not None:
+            ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
+            if not ahead_s > self.filter.ahead_s:
+                self.early_rerun.before(item.time_s)
+            self.learning.buffer_input(item)
         self.filter.propagate_to(item.name, item.time_s, self.on_event)
         self.on_event(correction := self.filter.correct(item, self.on_event), item.value)
         self.filter.handle_pending(self.on_event)
@@ -291,7 +300,8 @@ class Navigator(NavigatorStatus):
     def on_event(self, event: Event, value: Array | None = None) -> None:
         """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
-        self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.on_event)
+        if self.filter.monitor.cross_checks:
+            self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.on_event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
 
@@ -432,7 +442,7 @@ class Navigator(NavigatorStatus):
         OSError
             When the file cannot be read.
         """
-        saved = snapshots.read(vehicle, source, MEMORY)
+        saved = snapshots.read(vehicle, source, (NavigatorMemory, MonitorMemory))
         try:
             return cls._resumed(vehicle, saved)
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
@@ -477,5 +487,5 @@ class Navigator(NavigatorStatus):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
         if self.history is None:
             raise ValueError("it has inputs without a history")
-        for take in (self.early_rerun.buffer_input, self.history.process)[:: 1 if isinstance(item, np.ndarray) else -1]:
+        for take in (self._note_input, self.history.process)[:: 1 if isinstance(item, np.ndarray) else -1]:
             take(item)

@@ -57,42 +57,32 @@ class Run(Protocol):
     @property
     def fast_paths(self) -> Mapping[str, Any]:
         """By sensor."""
-        ...
 
     @property
     def time_s(self) -> float:
         """Mission time of the state [s]."""
-        ...
 
     @property
     def offset_s(self) -> float:
         """By how much stamps are moved since the clock was set [s]."""
-        ...
 
     def step_samples(self, samples: Array) -> None:
         """Take samples of the drive: rows of time and six values."""
-        ...
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
         """Take a measurement that has arrived."""
-        ...
 
     def correct_now(self, reading: Measurement) -> Outcome:
         """Take a measurement now."""
-        ...
 
     def repeat_input(self, item: Array | Measurement) -> None:
         """Take an input as another run has."""
-        ...
 
     def process(self, item: Array | Measurement) -> Outcome | None:
         """Give samples or a measurement, in order, to filter and learning."""
-        ...
 
     def finish(self) -> None:
         """Take the measurements that still wait: no more samples come."""
-        ...
 
     def on_event(self, event: Event, value: Array | None = None) -> None:
         """Show the monitor and learning what the filter does."""
-        ...

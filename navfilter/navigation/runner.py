@@ -19,7 +19,6 @@ from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
-from navfilter.kernels import noise_scale as scatters
 from navfilter.kernels import open_loop_residual, strapdown
 from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, InputBuffer
 from navfilter.navigation.measurements import MeasurementSequence
@@ -322,7 +321,7 @@ class BatchRunner:
             memory.recent = recent[newest : newest + len(memory.recent)].copy()
         for channel, row in zip(self._channels, scattered[0], strict=False):
             if channel.faults.scatters:
-                channel.faults.scatter = NoiseScale.of(row[: scatters.size(channel.axes)].copy())
+                channel.faults.scatter = NoiseScale.of(row[: noise_scale.size(channel.axes)].copy())
         self._written(now, cursor, heard, watched, first, why, out)
         self._overheard(hearing[1], int(first[0]))
         return why
@@ -332,7 +331,7 @@ class BatchRunner:
         if not any(channel.faults.scatters for channel in self._channels):
             return np.zeros((0, 1)), np.zeros((0, 1))
         most = max(channel.axes for channel in self._channels)
-        kept, facts = np.zeros((2, len(self._channels), max(scatters.size(most), scatters.facts_size(most))))
+        kept, facts = np.zeros((2, len(self._channels), max(noise_scale.size(most), noise_scale.facts_size(most))))
         for i, channel in enumerate(self._channels):
             if channel.faults.scatters:
                 own, known = noise_scale.noted(channel), noise_scale.facts(self.nav.filter, channel)
@@ -351,7 +350,7 @@ class BatchRunner:
         interval_s = math.inf if tape is None else tape.interval_s
         steps, gravity = filter.memory.drv[strapdown.INCREMENTS], filter.vehicle.drive.gravity
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        due = filter.stationary_after, bias_drift.due_s(filter)
+        due = filter.stationary_after, filter.memory.monitor.look_s(filter.inertial)
         return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
     def _output(self, cursor: Ints) -> Output:

@@ -33,12 +33,11 @@ from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.timeseries.model import ArmaModel
 
 __all__ = ["SnapshotContent", "content", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 21
+FORMAT = 22
 #: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.
 LARGEST = 256 << 20
 
@@ -166,7 +165,7 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
     vehicle : Vehicle
     source : bytes or path-like
     kinds : iterable of class
-        Classes that memory consists of, beside error models.
+        Classes that memory consists of, beside error models and what fields are said to hold.
 
     Raises
     ------
@@ -190,7 +189,7 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
                 raise ValueError(f"{damaged} is damaged")
         with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("meta", "floats", "integers")}
-        saved = from_arrays(arrays, [SnapshotContent, Start, SensorMonitor, Measurement, ErrorModel, ArmaModel, *kinds])
+        saved = from_arrays(arrays, [SnapshotContent, ErrorModel, *kinds])
     except Exception as error:  # numpy, zipfile, zlib and json raise many unrelated types on broken archives
         raise unreadable(error) from error
     if not isinstance(saved, SnapshotContent):

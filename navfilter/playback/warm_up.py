@@ -174,7 +174,7 @@ class _Helper:
 
     def __init__(self, learning: bool, everything: bool, smoother: bool) -> None:
         self._process: subprocess.Popen[str] | None = None
-        if not (sys.executable and _kept() and _cores() > 1):
+        if not (sys.executable and _kept() and available_cores() > 1):
             return
         from numba import config
 
@@ -219,7 +219,8 @@ def _kept() -> bool:
     return folder is not None and os.access(folder if os.path.isdir(folder) else os.path.dirname(folder), os.W_OK)
 
 
-def _cores() -> int:
+def available_cores() -> int:
+    """Processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS and Windows

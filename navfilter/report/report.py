@@ -14,6 +14,7 @@ import numpy as np
 
 from navfilter.calibration.lights import Light
 from navfilter.evaluation.assessment import Assessment, assess
+from navfilter.evaluation.comparison import number_text
 from navfilter.evaluation.control_points import Control
 from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
@@ -31,7 +32,7 @@ from navfilter.report.instrument import Instrument
 from navfilter.report.lane_figures import CAPTION, lane_figure, lane_rows
 from navfilter.report.marks import marks
 from navfilter.report.plan_view import plan_view
-from navfilter.report.run_tables import headline_rows, number_text, sensor_rows
+from navfilter.report.run_tables import headline_rows, sensor_rows
 from navfilter.report.sensor_sections import sensor_sections
 from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.track.track import Track

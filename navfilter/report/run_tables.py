@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.evaluation.comparison import number_text
 from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.models.mission import Mission
 from navfilter.rendering.page import table_text
 from navfilter.track.track import Track
 
-__all__ = ["HEADLINES", "headline_rows", "headline_table", "number_text", "sensor_rows", "sensor_table"]
+__all__ = ["HEADLINES", "headline_rows", "headline_table", "sensor_rows", "sensor_table"]
 
 Tracks = Mapping[str, Track]
 Rows = list[list[str]]
@@ -69,8 +70,3 @@ def sensor_rows(track: Track) -> tuple[list[str], Rows]:
         for name, r in track.residuals.items()
     ]
     return ["sensor", *present, "NIS"], rows
-
-
-def number_text(value: float | None, form: str) -> str:
-    """A number, or a dash where there is none."""
-    return "–" if value is None else form.format(value)

@@ -28,7 +28,7 @@ from navfilter.navigation.snapshot import fingerprint
 from navfilter.service.protocol import event_line
 from navfilter.service.session import Options
 
-__all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "remade_log", "run_note"]
+__all__ = ["LOG_FILE", "is_own_file", "log_items", "logged_options", "prepare_log", "remade_log", "run_note"]
 
 LOG_FILE = "readings.jsonl"
 
@@ -141,7 +141,7 @@ def _describe(folder: Path, vehicle: Vehicle, options: Options) -> None:
         (Path(beside) / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
         for new in Path(beside).iterdir():
             old = folder / new.name
-            if not (_is_file(old) and old.read_bytes() == new.read_bytes()):
+            if not (is_own_file(old) and old.read_bytes() == new.read_bytes()):
                 _put_aside(old)
                 new.replace(old)
     for name in ("vehicle.toml", "mission.toml", "."):
@@ -155,7 +155,7 @@ def _describe(folder: Path, vehicle: Vehicle, options: Options) -> None:
 def _difference(folder: Path, vehicle: Vehicle) -> str:
     """Why a log is not that of a vehicle; empty where it is."""
     unreadable = "the vehicle.toml of this log cannot be read"
-    if not _is_file(folder / "vehicle.toml"):
+    if not is_own_file(folder / "vehicle.toml"):
         return unreadable
     try:
         logged = read_vehicle(folder)
@@ -170,7 +170,7 @@ def _difference(folder: Path, vehicle: Vehicle) -> str:
     return f"this log is of another vehicle ({', '.join(drive + names) or 'its name'} differs)"
 
 
-def _is_file(path: Path) -> bool:
+def is_own_file(path: Path) -> bool:
     """Whether this is a file and no link to one."""
     return path.is_file() and not path.is_symlink()
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.foundation.quoting import json_value
 from navfilter.io.json_lines import LONGEST_LINE
 from navfilter.models.health import Health
 from navfilter.models.state import NavState
@@ -25,18 +26,8 @@ def to_line(fields: Mapping[str, Any]) -> bytes:
     try:
         text = json.dumps(fields, separators=(",", ":"), allow_nan=False)
     except ValueError:
-        text = json.dumps(_finite(fields), separators=(",", ":"), allow_nan=False)
+        text = json.dumps(json_value(fields), separators=(",", ":"), allow_nan=False)
     return text.encode() + b"\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return value
 
 
 def event_line(event: str, **fields: Any) -> bytes:

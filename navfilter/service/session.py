@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.filter.imu_intake import ImuIntake
+from navfilter.foundation.quoting import json_value
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
 from navfilter.models.alignment import align
 from navfilter.models.health import Health
@@ -55,9 +56,7 @@ class Options:
 
     def to_json(self) -> dict[str, Any]:
         """As the log holds it."""
-        start = None if self.start is None else {k: v.isoformat() if k == "date" else v for k, v in self.start.items()}
-        date = None if self.date is None else self.date.isoformat()
-        return {"rate_hz": self.rate_hz, "align_s": self.align_s, "start": start, "date": date}
+        return dict(json_value(dataclasses.asdict(self)))
 
     @classmethod
     def from_json(cls, saved: dict[str, Any]) -> Options:
@@ -300,11 +299,7 @@ class Session:
 
     def _begin(self, start: Start, how: str) -> None:
         start = dataclasses.replace(start, date=self._date(start.date))
-        fields = {
-            k: v.isoformat() if isinstance(v, datetime.date) else v
-            for k, v in dataclasses.asdict(start).items()
-            if v is not None
-        }
+        fields = json_value({k: v for k, v in dataclasses.asdict(start).items() if v is not None})
         self._note(to_line({"event": "start", "how": how, "start": fields}))
         self._tell("start", how=how, **fields)
         self.nav = (LaneNavigator if self._lanes else Navigator)(self.vehicle, start)

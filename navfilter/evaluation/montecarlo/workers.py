@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from navfilter.evaluation.montecarlo.campaign import program
+from navfilter.playback.warm_up import available_cores
 
-__all__ = ["available_cores", "cluster", "process_pool"]
+__all__ = ["cluster", "process_pool"]
 
 #: Threads inside a worker would only get into each other's way, and could change the last digit.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -84,14 +85,6 @@ def cluster(address: str) -> Iterator[Executor]:
             )
         # not pure: every seed is computed, none taken from a cache of results
         yield client.get_executor(pure=False)
-
-
-def available_cores() -> int:
-    """Processors that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
 
 
 def _prepare_worker() -> None:

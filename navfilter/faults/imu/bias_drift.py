@@ -51,7 +51,7 @@ from navfilter.kernels.bias_drift import (
 )
 from navfilter.models.fault_bias import with_offsets
 
-__all__ = ["check_biases", "due_s", "fresh", "gyros", "looking", "shifted"]
+__all__ = ["check_biases", "fresh", "gyros", "looking", "shifted"]
 
 Array = NDArray[np.float64]
 #: The estimates are looked at so often [s], and held against those of so many looks before [1].
@@ -61,14 +61,6 @@ EVERY_S, LOOKS = batch.LOOK_EVERY_S, 16
 def fresh() -> Array:
     """What is remembered before the first look, shape (LOOKS, COLUMNS), the latest last."""
     return np.full((LOOKS, COLUMNS), math.nan)
-
-
-def due_s(filter: FilterState) -> float:
-    """Time of the reading by which the next look comes [s]."""
-    if not filter.inertial:
-        return math.inf
-    last_s = filter.memory.monitor.bias_drift.item(-1, TIME_S)
-    return -math.inf if math.isnan(last_s) else (math.floor(last_s / EVERY_S) + 1.0) * EVERY_S
 
 
 def looking(filter: FilterState) -> tuple[Array, Array, Array]:
@@ -90,7 +82,7 @@ def check_biases(filter: FilterState) -> Iterator[Action]:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory = filter.memory
     latest_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)
-    if latest_s == -math.inf or latest_s < due_s(filter):
+    if latest_s == -math.inf or latest_s < memory.monitor.look_s(filter.inertial):
         return
     looks, gyros, now = looking(filter)
     state = memory.nav, memory.x, memory.P

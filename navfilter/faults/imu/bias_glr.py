@@ -46,10 +46,12 @@ class BiasJumpGlr:
 
     def fresh(self, layout: Layout, channels: dict[str, Channel], time_s: float) -> Array:
         """What it remembers before the first reading, for these states."""
+        if not self.active:
+            return np.zeros((0, 0, 0))
         rows = AXES
         for name, channel in channels.items():
             self._rows[name], rows = rows, rows + channel.axes
-        banks = np.zeros((settings.WINDOWS if self.active else 0, rows + 2, layout.size + 3))
+        banks = np.zeros((settings.WINDOWS, rows + 2, layout.size + 3))
         for bank in banks:
             for name in channels:
                 bank[self._rows[name], -1] = 1.0
@@ -76,11 +78,11 @@ class BiasJumpGlr:
         """
         memory = filter.memory
         if isinstance(event, Correction):
-            if event.channel is None or not self.active:
+            if event.channel is None:
                 return
             channel, banks = event.channel, memory.monitor.bias_glr
             slot = int(memory.time_s / settings.SPACING_S)
-            if filter.monitor.imu_monitor.busy(memory.monitor.imu):
+            if memory.monitor.is_busy:
                 # what stands in place of an axis is no white noise: what it does to innovations is no jump
                 for bank in banks:
                     self._begin(bank, filter.layout)

@@ -11,14 +11,14 @@ the heading again; that is then the compass's, and all else goes on.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import settings
-from navfilter.faults.allowed_change import wander
+from navfilter.faults.innovation_gate import whole_heading
 from navfilter.filter.actions import Action, Inflate
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
@@ -53,7 +53,7 @@ class GyroScaleTest:
     followed: float = 0.0
 
 
-def refused(filter: FilterState, channel: Channel, time_s: float, residual: float) -> Iterator[Action]:
+def refused(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
     """Take a reading that has just been refused; where a compass contradicts a gyro, that is left out.
 
     Parameters
@@ -64,8 +64,6 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
         As the rejected update left it.
     time_s : float
         Of the reading [s].
-    residual : float
-        Of the reading, slow error and all [rad].
     """
     memory, kept, w = filter.memory, channel.faults, filter.memory.monitor.imu
     before = kept.turns or GyroScaleTest()
@@ -75,18 +73,23 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
         or (w[:3, kernel.HEEDED] > kernel.NOISY).any()
     ):
         return
+    residual, north = whole_heading(channel, memory.x), channel.sensor.observes.north
     if math.isnan(residual):  # an attitude without a heading
         return
-    north = channel.sensor.observes.north
-    noise = float(2.0 * channel.R[north, north] + wander(channel, time_s - before.time_s)[north])
+
+    def noise(seconds: float) -> float:
+        return float(2.0 * channel.R[north, north] + channel.wander(seconds)[north])
+
     now = _stepped(before, time_s, _heading(memory.nav) + residual, w, noise)
     kept.turns = now
     axis = int(np.argmax(np.abs(memory.nav[12:15] * w[:3, kernel.MEAN])))
     turned = float(np.sum(np.abs([step[2] for step in now.steps])))
     fast = float(w[kernel.UNIT, kernel.FAST])
-    proven = fast - now.followed - turned >= settings.FOLLOWED or _undisputed(channel)
-    lasts = time_s - kept.rejected_since_s >= settings.LASTS_S
-    may_be = lasts and proven and _velocity_refused(filter, time_s)
+    may_be = (
+        time_s - kept.rejected_since_s >= settings.LASTS_S
+        and (fast - now.followed - turned >= settings.FOLLOWED or _undisputed(channel))
+        and _velocity_refused(filter, time_s)
+    )
     since_s = wrong_since(now.steps) if may_be else None
     if since_s is None:
         if time_s - kept.rejected_since_s >= settings.GYRO_DISPUTED_S:
@@ -99,13 +102,12 @@ def refused(filter: FilterState, channel: Channel, time_s: float, residual: floa
 def check_readmission(filter: FilterState) -> None:
     """Whether a gyro that is left out turns with the heading again; then it may be used."""
     memory, w = filter.memory, filter.memory.monitor.imu
-    held = np.flatnonzero(w[:3, kernel.HELD])
+    held, noise = np.flatnonzero(w[:3, kernel.HELD]), 2.0 * float(memory.P[8, 8])
     for channel in filter.channels.values():
         kept = channel.faults
         if not len(held) or kept.turns is None or memory.time_s - kept.turns.time_s < settings.GYRO_STEP_S:
             continue
-        noise = 2.0 * float(memory.P[8, 8])
-        kept.turns = _stepped(kept.turns, memory.time_s, _heading(memory.nav), w, noise)
+        kept.turns = _stepped(kept.turns, memory.time_s, _heading(memory.nav), w, lambda _: noise)
         if memory.time_s - channel.memory.used_s < settings.LATELY_S and agrees(kept.turns.steps):
             w[held, kernel.HELD], kept.turns = 0.0, replace(kept.turns, steps=())
 
@@ -155,12 +157,14 @@ def _heading(nav: Array) -> float:
     return math.atan2(nav[9], nav[6])
 
 
-def _stepped(before: GyroScaleTest, time_s: float, heading: float, w: Array, noise: float) -> GyroScaleTest:
-    """With one more look."""
+def _stepped(
+    before: GyroScaleTest, time_s: float, heading: float, w: Array, noise: Callable[[float], float]
+) -> GyroScaleTest:
+    """With one more look; `noise`: variance of the change of the heading in a time, but for the gyros'."""
     turned, off = float(w[kernel.UNIT, kernel.TURNED]), math.remainder(heading - before.heading, 2.0 * math.pi)
     steps = tuple(step for step in before.steps if time_s - step[0] < settings.OLDEST_S)
     if time_s - before.time_s <= settings.GYRO_LONGEST_S:
-        steps = (*steps, (time_s, off, turned - before.turned, noise))[-settings.STEPS :]
+        steps = (*steps, (time_s, off, turned - before.turned, noise(time_s - before.time_s)))[-settings.STEPS :]
     return replace(before, time_s=time_s, heading=heading, turned=turned, steps=steps)
 
 

@@ -217,14 +217,6 @@ class ImuMonitor:
             result[:3] = 0.5 * seconds * along
         return result
 
-    def has_excluded(self, w: Array) -> bool:
-        """Whether something else stands in place of what an axis says."""
-        if self.active:
-            for axis in range(kernel.UNIT):
-                if w.item(axis, kernel.HEEDED) > kernel.NOISY:
-                    return True
-        return False
-
     def excluded_axes(self, w: Array) -> list[str]:
         """Names of the axes that something else stands in for."""
         heeded = w[: kernel.UNIT, kernel.HEEDED].tolist()
@@ -234,14 +226,6 @@ class ImuMonitor:
         """So long ago what is left out may have begun to be wrong, or was looked at last [s]."""
         lost = w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY
         return settings.FOUND_S + kernel.JUDGED_S + float(w[: kernel.UNIT, kernel.BEGAN_S][lost].max(initial=0.0))
-
-    def lane(self, w: Array) -> str:
-        """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
-        return "inertial" if self.active and not self.has_excluded(w) else "dead-reckoning"
-
-    def busy(self, w: Array) -> bool:
-        """Whether an axis is left out, or soon will be."""
-        return self.active and (w.item(kernel.UNIT, kernel.OFF_S) > 0.0 or self.has_excluded(w))
 
     def conditions(self, w: Array) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""

@@ -75,13 +75,8 @@ def _built_in(function, count, numbers=0):
     kernel.
     """
 
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-    infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
-
     def built(build):
-        @lower_builtin(function, *(types.Array,) * count, *(types.Integer,) * numbers)
+        @compiled(function, types.void, *(types.Array,) * count, *(types.Integer,) * numbers)
         def generate(context, builder, kinds, arguments):
             given = list(zip(kinds.args, arguments, strict=True))
             arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given[:count]]
@@ -340,13 +335,7 @@ def exchange(X, one, other, of_one, of_other):
         np.copyto(X[begin : begin + WIDE * WIDE], block.ravel())
 
 
-@infer_global(exchange)
-class _OfExchange(AbstractTemplate):
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-
-@lower_builtin(exchange, types.Array, *(types.Integer,) * 4)
+@compiled(exchange, types.void, types.Array, *(types.Integer,) * 4)
 def _buildexchange(context, builder, kinds, arguments):
     """In registers, see `registers.transposed`."""
     index, row = _INDEX, _ROW
@@ -474,13 +463,7 @@ def copy_row(A, i, B, j, known):
     np.copyto(A[i : i + WIDE], np.where(np.arange(WIDE) < known, B[j : j + WIDE], 0.0))
 
 
-@infer_global(copy_row)
-class _OfCopyRow(AbstractTemplate):
-    def generic(self, arguments, keywords):
-        return signature(types.void, *arguments)
-
-
-@lower_builtin(copy_row, types.Array, types.Integer, types.Array, types.Integer, types.Integer)
+@compiled(copy_row, types.void, types.Array, types.Integer, types.Array, types.Integer, types.Integer)
 def _buildcopy_row(context, builder, kinds, arguments):
     """In one register: a panel is loaded in such rows, which have to wait for what was stored in other pieces."""
     index, row = _ir.IntType(64), _ROW

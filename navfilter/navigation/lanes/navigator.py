@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
-from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
+from navfilter.faults.lane_selection import LaneChoice
+from navfilter.faults.memory import MonitorMemory
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import samples_of
 from navfilter.foundation.arguments import needs
@@ -31,7 +32,7 @@ from navfilter.models.vehicle import DEAD_RECKONING, LEVEL, Vehicle
 from navfilter.navigation import snapshot as snapshots
 from navfilter.navigation.history import History
 from navfilter.navigation.lanes.state_transfer import Transplant, transplant
-from navfilter.navigation.memory import MEMORY, LaneMemory, LanesMemory
+from navfilter.navigation.memory import LaneMemory, LanesMemory
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.status import NavigatorStatus, health_of
 
@@ -290,13 +291,8 @@ class LaneNavigator(NavigatorStatus):
                 note = run.filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
                 foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
-                self.lane_choice.compare(
-                    i,
-                    sensor,
-                    reading.time_s,
-                    *foretold,
-                    run.filter.monitor.has_excluded(run.filter.memory.monitor),
-                )
+                lost = run.filter.memory.monitor.has_excluded
+                self.lane_choice.compare(i, sensor, reading.time_s, *foretold, lost)
             if run is believed:
                 result = outcome
         assert result is not None
@@ -418,7 +414,7 @@ class LaneNavigator(NavigatorStatus):
     @classmethod
     def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> LaneNavigator:
         """Go on from a snapshot, see `Navigator.restore`."""
-        saved = snapshots.read(vehicle, source, (*MEMORY, LanesMemory, LaneMemory, LaneChoiceMemory))
+        saved = snapshots.read(vehicle, source, (LanesMemory, MonitorMemory))
         try:
             return cls._resumed(vehicle, saved)
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
