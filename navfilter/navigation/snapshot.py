@@ -38,7 +38,7 @@ from navfilter.timeseries.model import ArmaModel
 __all__ = ["SnapshotContent", "content", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 21
+FORMAT = 22
 #: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.
 LARGEST = 256 << 20
 
