@@ -54,7 +54,7 @@ def test_a_bottom_that_moves_turns_with_no_vehicle():
 
 @pytest.mark.parametrize("seed", [8, 11])
 def test_noise_of_the_velocity_tells_no_scale_from_a_bottom_that_moves(seed):
-    """A micromechanical unit knows the velocity to centimetres a second only. What that errs by is in the residual, too,
+    """A micromechanical unit knows the velocity to centimetres a second. What that errs by is in the residual, too,
     and the product of the two drew a scale by 5 of its standard deviations a minute: the constant and the moving bottom
     that stand beside it followed, 100 m off in five minutes and 30 said.
     """

@@ -15,7 +15,6 @@ import navfilter as nf
 from navfilter.faults import alternative_path, innovation_gate
 from navfilter.faults import settings as fault_settings
 from navfilter.faults.alternative_path import AlternativePath, believable, followed, follows, since_fix, with_rejected
-from navfilter.faults.imu import acceleration
 from navfilter.faults.refusals import RejectionRun
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
@@ -182,25 +181,6 @@ def test_of_two_compasses_that_are_refused_one_turns_the_heading():
             state = nav.state
             turned.append(abs(math.degrees(state.minus(watched.truth_at(mission.truth, state.time_s))[8])))
     assert turned and np.median(turned) < 6.0
-
-
-@pytest.mark.parametrize(
-    ("residual", "reading", "accused"),
-    [
-        (lambda age: 0.2 * age, lambda age: 1.5, True),  # it goes on reading the same
-        (lambda age: 0.2 * age, lambda age: 1.5 - 0.1 * age, False),  # another sign: it changes by half of that
-        (lambda age: 0.2 * age, lambda age: 1.5 + 0.4 * age, False),  # another unit
-        (lambda age: min(0.2 * age, 1.0), lambda age: 1.5 - max(0.2 * (age - 5.0), 0.0), False),  # 5 s late
-    ],
-)
-def test_one_that_has_been_disputed_accuses_by_a_long_ramp_on_which_it_reads_the_same(residual, reading, accused):
-    rng, sums = np.random.default_rng(1), ()
-    for age_s in 0.25 * np.arange(44):
-        seen = np.array([residual(age_s), 0.0, 0.0]) + 0.01 * rng.normal(size=3)
-        now = np.array([reading(age_s), 0.0, 0.0])
-        sums = acceleration.add_to_line(sums, age_s, seen, now)
-    slope = acceleration.ramp_of(sums, np.full(3, 1e-4))
-    assert slope is not None and acceleration.reads_the_same(sums, now, slope) is accused
 
 
 def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():

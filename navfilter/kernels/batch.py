@@ -292,8 +292,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     moves = spot[MOVES] != 0 and consistency.limit_unread_slopes(P, near, res, start + errors)
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
     if spot[FAULTS]:
-        band, held_to = consistency.velocity_band(P, near, int(0), start + errors, turned), mem[places[7] - a : places[7]]
-        fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res, held_to, band)
+        band, last = consistency.velocity_band(P, near, int(0), start + errors, turned), places[7] - a
+        fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res, mem[last : last + a], band)
     if spot[BEND]:
         addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
     limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True
