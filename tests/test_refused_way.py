@@ -183,6 +183,23 @@ def test_of_two_compasses_that_are_refused_one_turns_the_heading():
     assert turned and np.median(turned) < 6.0
 
 
+def test_a_velocity_that_a_wider_gate_lets_in_opens_the_velocity_alone():
+    """It is read through the attitude, too: where nothing else tells that, one that was stamped a second late turned
+    the heading of a real dive by 50 deg, and the vehicle 100 m off.
+    """
+    vehicle, mission = dive(1, False)
+    nav = nf.Navigator(vehicle, mission.start)
+    hand(nav, [e for e in events_of(vehicle, mission) if e.true_s < 100.0])
+    filter, channel = nav.filter, nav.filter.channels["dvl"]
+    channel.faults.rejected_since_s, dof = 100.0, 3
+    nis, time_s = 2.0 * channel.limits[dof], 100.0 + channel.sensor.gate_timeout_s
+    added = innovation_gate.widening(filter.memory.P, channel, time_s, nis, dof, 0.0)
+    widened = np.zeros_like(filter.memory.P)
+    widened[added.places, added.places] = added.covariance
+    assert np.trace(channel.H @ widened @ channel.H.T) > 0.0
+    assert not widened[:3].any() and not widened[6:].any()
+
+
 def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
     vehicle, mission = dive(1, False)
     nav = nf.Navigator(vehicle, mission.start)
