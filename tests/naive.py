@@ -1007,7 +1007,7 @@ def memory_offsets(dims):
         a,
         6,
         2 * a * a,
-        a * n,
+        a * n + a,
         a * (9 + par),
         8 + 2 * a,
         max(m, b, 2 * a) * n + 4 * b * b,
@@ -1890,12 +1890,20 @@ def delayed_reading(
         discount_clock(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, shared, near, R)
 
 
-def limit_velocity_slopes(P, near, held, begin, first, turned):
+def velocity_band(P, near, begin, first, turned):
     at = np.r_[:9, first : first + begin]
     known = np.diag(near[:, : 9 + begin] @ P[np.ix_(at, at)] @ near[:, : 9 + begin].T)
-    band = 3.0 * np.sqrt(max(0.0, np.max(known)) + turned)
+    return 3.0 * np.sqrt(max(0.0, np.max(known)) + turned)
+
+
+def held_slope(new, old, band):
+    return np.where(np.abs(new - old) <= band, 0.98 * old + 0.02 * new, new)
+
+
+def limit_velocity_slopes(P, near, held, begin, first, turned):
+    band = velocity_band(P, near, begin, first, turned)
     new = near[:, 9 + begin :][:, : held.shape[1]]
-    new[:] = np.where(np.abs(new - held) <= band, 0.98 * held + 0.02 * new, new)
+    new[:] = held_slope(new, held, band)
 
 
 def limit_unread_slopes(P, near, res, first):
@@ -2058,7 +2066,9 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
     if spot[34]:
-        fault_states(bench[spot[34] :], z, nav, x, start, spot[31], C, near, res)
+        before = mem[places_[7] - a : places_[7]]
+        band = velocity_band(P, near, 0, start + errors, np.diag(bench[lever:][: a * a].reshape(a, a)).max())
+        fault_states(bench[spot[34] :], z, nav, x, start, spot[31], C, near, res, before, band)
     believed = bench[limits + a + 1 : limits + 2 * a + 1]
     squares = (C @ x[start - 9 : start - 9 + errors]) ** 2
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
@@ -2067,11 +2077,12 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
-def fault_states(table, z, nav, x, start, north, C, near, res):
+def fault_states(table, z, nav, x, start, north, C, near, res, held, band):
     scaled, deviating, flowing = table[:3].astype(int)
     for state, at_m_s, axes in table[3:][: 3 * scaled].reshape(-1, 3):
         state, axes = int(state), int(axes)
-        C[:axes, state] = np.nan_to_num(z[:axes] - res[:axes]) / at_m_s
+        held[:axes] = held_slope(np.nan_to_num(z[:axes] - res[:axes]), held[:axes], band)
+        C[:axes, state] = held[:axes] / at_m_s
         near[:axes, :9] *= 1.0 + x[start - 9 + state] / at_m_s
     for state, of_rad in table[3 + 3 * scaled :][: 2 * deviating].reshape(-1, 2):
         C[north, int(state)] = np.cos(np.arctan2(nav[9], nav[6]) - of_rad)

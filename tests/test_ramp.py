@@ -8,7 +8,7 @@ import same_runs
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.faults.imu.acceleration import add_to_line, ramp_of
+from navfilter.faults import velocity_evidence
 from navfilter.faults.sensor_bias import add_rejection
 from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
@@ -34,36 +34,41 @@ def spoiled(mission, change, name="imu", begin_s=FAULT_S):
     return mission.with_stream(name, nf.Stream(stream.time_s, value, stream.columns))
 
 
-def residuals(shape, seed, count=12, sd=0.01, first_s=0.0):
-    """The sums of a line through residuals of a shape, and the variance of their noise."""
-    rng, ramp = np.random.default_rng(seed), ()
+def accuses(dive, shape, seed, speed=lambda age_s: 1.5, count=12, sd=0.01, first_s=0.0):
+    """Force by which refused velocities of this shape, in axes that point north, say that the unit has run away."""
+    vehicle, mission, _ = dive
+    filter, rng = nf.Navigator(vehicle, mission.start).filter, np.random.default_rng(seed)
+    channel = filter.channels["dvl"]
+    channel.near[:, 3:6], channel.R[:], channel.S[:3] = np.eye(3), 1e-4 * np.eye(3), 2e-4 * np.eye(3)
+    channel.faults.rejected_since_s = 100.0 + first_s
     for age_s in first_s + 0.25 * np.arange(count):
-        ramp = add_to_line(ramp, age_s, np.array(shape(age_s)) + sd * rng.normal(size=3), np.zeros(3))
-    return ramp, np.full(3, 1e-4)
+        filter.memory.nav[3:6] = speed(age_s), 0.0, 0.0
+        channel.res[:] = np.array(shape(age_s)) + sd * rng.normal(size=3)
+        channel.faults.evidence = velocity_evidence.with_refused(filter, channel, 100.0 + age_s)
+    return velocity_evidence.force(channel)
 
 
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(
-    ("shape", "sd"),
+    ("shape", "sd", "speed"),
     [
-        (lambda age: (0.3, -0.2, 0.0), 0.01),  # it tracks the water, or its scale has jumped
-        (lambda age: (0.3 * math.cos(0.2 * age), 0.3 * math.sin(0.2 * age), 0.0), 0.01),  # the same in a turn
-        (lambda age: (0.0, 0.0, 0.0), 0.1),  # ten times its noise
-        (lambda age: (0.5 - 0.1 * age, 0.0, 0.0), 0.01),  # comes back
+        (lambda age: (0.3, -0.2, 0.0), 0.01, lambda age: 1.5),  # it tracks the water, or its scale has jumped
+        (lambda age: (0.0, 0.0, 0.0), 0.1, lambda age: 1.5),  # ten times its noise
+        (lambda age: (0.2 * age, 0.0, 0.0), 0.01, lambda age: 0.2 * age),  # another unit, on a vehicle that speeds up
+        (lambda age: (-0.4 * age, 0.0, 0.0), 0.01, lambda age: 0.2 * age),  # another sign
     ],
 )
-def test_what_fails_at_once_is_no_ramp(shape, sd, seed):
-    assert ramp_of(*residuals(shape, seed, sd=sd)) is None
+def test_what_is_off_for_another_reason_is_no_force(dive, shape, sd, speed, seed):
+    assert accuses(dive, shape, seed, speed, 24, sd) is None
 
 
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(("slope", "first_s"), [(0.05, 0.0), (0.5, 0.0), (4.0, 0.0), (0.5, 7.0)])
-def test_what_grows_from_nothing_is_a_ramp(slope, first_s, seed):
+def test_what_grows_from_nothing_is_a_force(dive, slope, first_s, seed):
     def shape(age):
-        return 0.6 * slope * age, -0.8 * slope * age, 0.0
+        return 0.6 * slope * (age - first_s), -0.8 * slope * (age - first_s), 0.0
 
-    assert ramp_of(*residuals(shape, seed, first_s=first_s)) == pytest.approx(slope, rel=0.3)
-    assert ramp_of(*residuals(shape, seed, count=6, first_s=first_s)) is None
+    assert accuses(dive, shape, seed, first_s=first_s) == pytest.approx(slope, rel=0.3)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +146,7 @@ def test_restored_while_it_is_refused_it_goes_on_as_before(dive):
     whole, half = (nf.Navigator(vehicle, mission.start) for _ in range(2))
     one_by_one(whole, events)
     one_by_one(half, [e for e in events if e.time_s <= FAULT_S + 1.3])
-    assert half.filter.channels["dvl"].faults.ramp
+    assert half.filter.channels["dvl"].faults.evidence is not None
     again = nf.Navigator.restore(vehicle, half.snapshot())
     one_by_one(again, [e for e in events if e.time_s > FAULT_S + 1.3])
     same_runs.assert_same_bits(whole, again)

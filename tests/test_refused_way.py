@@ -15,7 +15,6 @@ import navfilter as nf
 from navfilter.faults import alternative_path, innovation_gate
 from navfilter.faults import settings as fault_settings
 from navfilter.faults.alternative_path import AlternativePath, believable, followed, follows, since_fix, with_rejected
-from navfilter.faults.imu import acceleration
 from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
@@ -184,23 +183,21 @@ def test_of_two_compasses_that_are_refused_one_turns_the_heading():
     assert turned and np.median(turned) < 6.0
 
 
-@pytest.mark.parametrize(
-    ("residual", "reading", "accused"),
-    [
-        (lambda age: 0.2 * age, lambda age: 1.5, True),  # it goes on reading the same
-        (lambda age: 0.2 * age, lambda age: 1.5 - 0.1 * age, False),  # another sign: it changes by half of that
-        (lambda age: 0.2 * age, lambda age: 1.5 + 0.4 * age, False),  # another unit
-        (lambda age: min(0.2 * age, 1.0), lambda age: 1.5 - max(0.2 * (age - 5.0), 0.0), False),  # 5 s late
-    ],
-)
-def test_one_that_has_been_disputed_accuses_by_a_long_ramp_on_which_it_reads_the_same(residual, reading, accused):
-    rng, sums = np.random.default_rng(1), ()
-    for age_s in 0.25 * np.arange(44):
-        seen = np.array([residual(age_s), 0.0, 0.0]) + 0.01 * rng.normal(size=3)
-        now = np.array([reading(age_s), 0.0, 0.0])
-        sums = acceleration.add_to_line(sums, age_s, seen, now)
-    slope = acceleration.ramp_of(sums, np.full(3, 1e-4))
-    assert slope is not None and acceleration.reads_the_same(sums, now, slope) is accused
+def test_a_velocity_that_a_wider_gate_lets_in_opens_the_velocity_alone():
+    """It is read through the attitude, too: where nothing else tells that, one that was stamped a second late turned
+    the heading of a real dive by 50 deg, and the vehicle 100 m off.
+    """
+    vehicle, mission = dive(1, False)
+    nav = nf.Navigator(vehicle, mission.start)
+    hand(nav, [e for e in events_of(vehicle, mission) if e.true_s < 100.0])
+    filter, channel = nav.filter, nav.filter.channels["dvl"]
+    channel.faults.rejected_since_s, dof = 100.0, 3
+    nis, time_s = 2.0 * channel.limits[dof], 100.0 + channel.sensor.gate_timeout_s
+    added = innovation_gate.widening(filter.memory.P, channel, time_s, nis, dof, 0.0)
+    widened = np.zeros_like(filter.memory.P)
+    widened[added.places, added.places] = added.covariance
+    assert np.trace(channel.H @ widened @ channel.H.T) > 0.0
+    assert not widened[:3].any() and not widened[6:].any()
 
 
 def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():

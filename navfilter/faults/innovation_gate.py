@@ -167,9 +167,10 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, un
     Notes
     -----
     A sensor that is rejected for so long shows that the state is less certain than thought: P is widened where the
-    sensor sees it. Only there: along P H' a fix that is far off would throw the velocity after the position. One that
-    reads the drive's own rates sees the errors of that: the Earth's rate is so slow that a reading out of place would
-    make it believe in any attitude.
+    sensor sees it. Only there: along P H' a fix that is far off would throw the velocity after the position, and a
+    velocity that is stamped wrongly would turn a heading that nothing else tells. One that reads the drive's own rates
+    sees the errors of that: the Earth's rate is so slow that a reading out of place would make it believe in any
+    attitude.
     """
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (1.0 if math.isnan(channel.faults.astray_m) else settings.PATIENT)
@@ -180,7 +181,8 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, un
     a, H = channel.axes, channel.H
     seen = channel.PH @ H.T
     grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / max(np.trace(seen), 1e-300)))
-    places = slice(9, int(channel.dims[2])) if (channel.sensor.observes is Observable.RATE) else slice(9)
+    places = slice(3, 6) if channel.sensor.observes.corrects == "velocity" else slice(9)
+    places = slice(9, int(channel.dims[2])) if channel.sensor.observes is Observable.RATE else places
     spread = np.diag(P)[places, None] * H[:, places].T
     inverse = np.linalg.pinv(H[:, places] @ spread, hermitian=True)
     return Widening(places, grow * spread @ inverse @ seen @ inverse @ spread.T, max(1.0, nis / limit))

@@ -42,8 +42,6 @@ class SensorFaults:
         Since when it has agreed with the state: NaN before, and after the state was reset to it [s].
     refused : RejectionRun or None
         What the readings that have been refused since say together.
-    ramp : tuple of float
-        Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
     evidence : VelocityEvidence or None
         Of a velocity that has been refused: which explanation its readings speak for.
     way : AlternativePath or None
@@ -83,7 +81,6 @@ class SensorFaults:
     refused_speed: float = 0.0
     agreed_s: float = math.nan
     refused: RejectionRun | None = None
-    ramp: tuple[float, ...] = ()
     evidence: VelocityEvidence | None = None
     way: AlternativePath | None = None
     refused_s: float = -math.inf

@@ -46,7 +46,7 @@ class FaultMonitor:
     changes : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
     slope : float or None
-        A velocity sensor has been left behind by the unit, see `acceleration.accused`.
+        A velocity sensor has been left behind by the unit, see `velocity_evidence.accused`.
     is_tilted : bool
         Attitude and velocity are to be set anew before the next input, see `realignment.tilted`.
     """

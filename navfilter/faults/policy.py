@@ -26,7 +26,7 @@ from navfilter.faults import (
 )
 from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
-from navfilter.faults.imu import acceleration, gyro_scale, realignment
+from navfilter.faults.imu import gyro_scale, realignment
 from navfilter.faults.protection_level import IN_LINE
 from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
@@ -118,10 +118,10 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
     """
     yield from ()
     kept = channel.faults
-    if not (filter.inertial and channel.moves and kept.confirmed(channel.memory.used_s)) or channel.offset:
+    if not (filter.inertial and channel.moves and kept.confirmed(channel.memory.used_s)):
         return None
     kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
-    covered = velocity_evidence.covered(channel)
+    covered = None if channel.offset else velocity_evidence.covered(channel)
     if covered is None:
         return None
     places, covariance, white = covered
@@ -142,7 +142,7 @@ def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> A
     if not channel.moves:
         return None
     monitor = filter.monitor
-    monitor.slope = acceleration.accused(filter, channel, reading.time_s)
+    monitor.slope = velocity_evidence.accused(filter, channel, reading.time_s)
     if monitor.slope is None:
         return None
     if channel.offset:

@@ -85,25 +85,6 @@ SAME_SPEED = 2.0
 #: A deviation that changes with the heading by more than this, at so many of its standard deviations [1]. (chosen)
 IRON_SLOPE, IRON_SURE = 0.5, 3.0
 
-# -------------------- imu: acceleration
-#: A ramp is told by so many refused readings at the earliest, over so long a time [s], by a slope of so many standard
-#: deviations (of Student's t with six degrees of freedom 2e-4 are beyond), and if it began at less than this share of
-#: what it has come to [1]: what fails at once is no ramp. (chosen)
-READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
-#: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
-#: refused when the vehicle first moves off. (chosen)
-WAY_M = 50.0
-#: While the vehicle turns faster, nothing is accused [rad/s]: what is described wrongly shows then, and not after.
-#: (chosen)
-TURNING = 0.05
-#: One that is disputed, or has not been used for long, accuses by a ramp of so long [s], longer than readings are
-#: late, if its readings have changed by less than this share of what the ramp has grown by [1]: one in another unit
-#: changes by as much or more, with another sign by half of it. And the ramp must have grown by so much [m/s]: what a
-#: slow vehicle's wrong lever arm or mirrored axis makes of a turn is less. (measured)
-LONG_S, ACCELERATION_SAME, ACCELERATION_GROWN = 10.0, 0.25, 1.0
-#: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s]. (chosen)
-RUNAWAY_S = 2.0
-
 # -------------------- imu: bias drift
 #: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1]. (chosen)
 FLOOR = 0.15
@@ -305,6 +286,11 @@ OFF_M_S, RAMP_M_S2, ARM_M, LATE_S = 0.5, 0.5, 2.0, 1.0
 JUMP_ODDS = 5.0
 #: The scale of the noise and what is left by an estimate settle in so many rounds [1]. (derived)
 ROUNDS = 8
+#: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
+#: refused when the vehicle first moves off. (chosen)
+WAY_M = 50.0
+#: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s]. (chosen)
+RUNAWAY_S = 2.0
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.

@@ -1,11 +1,12 @@
 """What refused velocities say together: explanations, compared by their marginal likelihoods (MacKay, 1992).
 
 A velocity may be off because its sensor is off by a constant, in its own axes, in n (what it reads against moves) or in
-proportion; or because it is described wrongly: its lever arm, or its clock, of which nothing shows but when the vehicle
-turns or changes its speed. Each explanation is a linear regression of the residuals with a Gaussian prior; the scale of
-the noise is fitted to each, and to none. Sums over the readings are all that is kept: of those that are refused on end,
-by which constants are judged, for they have a beginning; and of all since constants were given last, by which the
-description is, for it has none.
+proportion; because it is described wrongly: its lever arm, or its clock, of which nothing shows but when the vehicle
+turns or changes its speed; or because the unit runs away from it: a tilt, or a bias that has jumped, shows in no
+sample, but as a force, by which residuals grow from nothing. Each explanation is a linear regression of the residuals
+with a Gaussian prior; the scale of the noise is fitted to each, and to none. Sums over the readings are all that is
+kept: of those that are refused on end, by which constants and forces are judged, for they have a beginning; and of all
+since constants were given last, by which the description is, for it has none.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings
+from navfilter.faults.alternative_path import most_speed
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import strapdown
-from navfilter.models.fault_bias import SCALE
 
-__all__ = ["VelocityEvidence", "covered", "describes", "with_refused"]
+__all__ = ["VelocityEvidence", "accused", "covered", "describes", "force", "with_refused"]
 
 Array = NDArray[np.float64]
 #: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock.
@@ -135,6 +136,77 @@ def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
     return places, E[np.ix_(known, known)], off[:, ~known] @ E[np.ix_(~known, ~known)] @ off[:, ~known].T
 
 
+def accused(filter: FilterState, channel: Channel, time_s: float) -> float | None:
+    """Force by which a refused velocity accuses the drive [m/s^2]; None where it does not.
+
+    Parameters
+    ----------
+    filter : FilterState
+    channel : Channel
+        Whose reading has just been refused; its memory takes note.
+    time_s : float
+        Of the reading [s].
+    """
+    kept, right = channel.faults, _was_right(filter, channel)
+    if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
+        return 0.0
+    size = force(channel) if right else None
+    # a velocity through water may change with the water, slowly, too
+    if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
+        kept.evidence = None
+        return size
+    if right and _ran_away(filter, channel, time_s):
+        return 0.0
+    if time_s - kept.rejected_since_s >= settings.REFUSED_S and not (right and kept.undisputed):
+        kept.disputed_s = time_s
+    return None
+
+
+def force(channel: Channel) -> float | None:
+    """Size of the constant force by which the unit has run away from the velocities refused on end [m/s^2]; None where
+    something else explains them as well.
+
+    It began at nothing: when the first of them was refused, it had come to what the gate lets by.
+    """
+    kept = channel.faults.evidence
+    if kept is None:
+        return None
+    sds = np.repeat([math.sqrt(float(channel.limits[1] * channel.S[: channel.axes].max())), settings.RAMP_M_S2], 2)
+    ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
+    others = max(0.0, _jump(channel, kept), _description(channel, kept).gain)
+    return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > others + settings.JUMP_ODDS else None
+
+
+def _was_right(filter: FilterState, channel: Channel) -> bool:
+    """Whether a velocity that is refused was used for long before, on a way: what is described wrongly shows when the
+    vehicle first moves off.
+    """
+    if not filter.inertial or not channel.ground:
+        return False
+    kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
+    return channel.memory.used_s - kept.agreed_s >= settings.USED_S and math.hypot(*way) >= settings.WAY_M
+
+
+def _ran_away(filter: FilterState, channel: Channel, time_s: float) -> bool:
+    """Whether the state has become faster than the vehicle can be, while a velocity that was right is refused."""
+    kept, stated = channel.faults, filter.vehicle.drive.max_speed_m_s
+    if not time_s - kept.rejected_since_s >= settings.RUNAWAY_S:
+        return False
+    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
+    if max(fixes, default=-math.inf) > kept.rejected_since_s:
+        return False
+    velocity, residual = filter.memory.nav[3:6], _residual(channel)
+    seen = np.isfinite(residual)
+    claimed = float(np.linalg.norm(velocity + ground_velocity.as_velocity(channel, seen) @ residual[seen]))
+    most = float(most_speed(max(claimed, kept.refused_speed), stated))
+    return claimed <= most < float(np.linalg.norm(velocity))
+
+
+def _residual(channel: Channel) -> Array:
+    """Of the last reading over ground [m/s]; NaN where missing."""
+    return ground_velocity.components(channel, channel.note[3 : 3 + channel.axes])
+
+
 def _regressors(filter: FilterState, channel: Channel, age_s: float) -> Array:
     """What each explanation makes of the reading per unit of its parameters; the clock's is left at 0."""
     memory, near = filter.memory, ground_velocity.components(channel, channel.near)[:, 3:6]
@@ -175,13 +247,18 @@ class Explanation(NamedTuple):
 
 def _constants(channel: Channel, kept: VelocityEvidence) -> float:
     """Gain of the constant, of sensor or force, that explains the readings refused on end best [nat]."""
+    sds = np.repeat([settings.OFF_M_S, settings.RAMP_M_S2], 2)
+    ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
+    return max(ramp.gain, _jump(channel, kept))
+
+
+def _jump(channel: Channel, kept: VelocityEvidence) -> float:
+    """The same of a sensor that has jumped; one of another unit, or sign, is off by about the velocity itself."""
     axes, n, prior = channel.ground or channel.axes, kept.counts[RUN], settings.OFF_M_S
-    force = np.repeat([prior, settings.RAMP_M_S2], 2)
     return max(
         _regression(kept.sums[RUN], n, list(range(axes)), np.full(axes, prior)).gain,
         _regression(kept.sums[RUN], n, _places(channel, CURRENT), np.full(2, prior)).gain,
-        _regression(kept.sums[RUN], n, _places(channel, CURRENT, RAMP), force).gain,
-        _regression(kept.sums[RUN], n, _places(channel, SCALED), np.array([SCALE])).gain,
+        _regression(kept.sums[RUN], n, _places(channel, SCALED), np.ones(1)).gain,
     )
 
 

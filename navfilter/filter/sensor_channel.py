@@ -158,7 +158,7 @@ class Channel:
         self.mem = mem = bench[begin : ends[0]]
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
-        self.PH, self.S = mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
+        self.PH, self.S = mem[at[6] : at[7] - a].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - batch.NOTED]
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
@@ -171,7 +171,7 @@ class Channel:
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)
         self.gate = bench[ends[7] : ends[8]]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
-        before, self.noted = self.noted, mem[at[7] : at[9]]
+        before, self.noted = self.noted, mem[at[7] - a : at[9]]
         if before.size == self.noted.size:
             self.noted[:] = before
         else:

@@ -31,7 +31,7 @@ filter.drive_watch faults.imu.monitor, filter.gating faults.innovation_gate, fil
 filter.heights faults.depth_fault, filter.history navigation.history, filter.intake filter.imu_intake,
 filter.integrity faults.protection_level, filter.iron faults.heading_fault, filter.jumps faults.imu.bias_glr,
 filter.lane_choice faults.lane_selection, filter.layout filter.state_layout, filter.memory foundation.state_values,
-filter.offsets models.fault_bias, filter.over_ground faults.ground_velocity, filter.ramp faults.imu.acceleration,
+filter.offsets models.fault_bias, filter.over_ground faults.ground_velocity, filter.ramp faults.velocity_evidence,
 filter.realignment faults.imu.realignment, filter.reckoned faults.dead_reckoning_compass, filter.refusals
 faults.sensor_bias, filter.refused faults.policy, filter.refused_way faults.alternative_path, filter.scatter
 faults.noise_scale, filter.sensor_clock faults.clocks.sensor_clock, filter.shifts faults.imu.bias_drift, filter.sight

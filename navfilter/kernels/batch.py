@@ -180,14 +180,15 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def fault_states(table, z, nav, x, start, north, C, near, res):
+def fault_states(table, z, nav, x, start, north, C, near, res, held, band):
     """Let errors in proportion to the speed, those that go with the heading, and the motion of what a velocity is read
     against be those of a reading as foretold.
 
     table: how many of each there are; then, of each error in proportion, its state, the speed at which it is the
     error, and of how many axes; of each deviation its state and the heading at which it is the error; and of each
-    motion its state, its component in n, and how many axes read it. The residual of a heading comes within half a turn
-    of its error.
+    motion its state, its component in n, and how many axes read it. held (a,): the velocity by which an error in
+    proportion was told last; it goes on within a band (`consistency.held_slope`). The residual of a heading comes
+    within half a turn of its error.
     """
     scaled, deviating, flowing = int(table[0]), int(table[1]), int(table[2])
     for j in range(scaled):
@@ -195,7 +196,8 @@ def fault_states(table, z, nav, x, start, north, C, near, res):
         factor = 1.0 + x[start - 9 + state] / at_m_s
         for axis in range(int(table[5 + 3 * j])):
             predicted = z[axis] - res[axis]
-            C[axis, state] = 0.0 if math.isnan(predicted) else predicted / at_m_s
+            held[axis] = consistency.held_slope(0.0 if math.isnan(predicted) else predicted, held[axis], band)
+            C[axis, state] = held[axis] / at_m_s
             for i in range(9):
                 near[axis, i] *= factor
     for j in range(deviating):
@@ -282,15 +284,16 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
             consistency.limit_clock_slope(P, near, before, 8 + parameters)
     else:
         addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
+    turned = 0.0
+    for i in range(a):
+        turned = max(turned, bench[spot[LEVER_NOISE] + i * a + i])
     if slopes:
-        turned = 0.0
-        for i in range(a):
-            turned = max(turned, bench[spot[LEVER_NOISE] + i * a + i])
         consistency.limit_velocity_slopes(P, near, held, spot[HELD], start + errors, turned)
     moves = spot[MOVES] != 0 and consistency.limit_unread_slopes(P, near, res, start + errors)
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
     if spot[FAULTS]:
-        fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res)
+        band, last = consistency.velocity_band(P, near, int(0), start + errors, turned), places[7] - a
+        fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res, mem[last : last + a], band)
     if spot[BEND]:
         addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
     limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True

@@ -267,18 +267,13 @@ def attitude_second_order(P, acc, nav, own, work):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def limit_velocity_slopes(P, near, held, begin, first, turned):
-    """Slopes of a velocity by its scale and misalignment, which are velocities themselves: they follow the velocity no
-    closer than it is known.
+def velocity_band(P, near, begin, first, turned):
+    """By how much a velocity as it is read may be off, as a slope by which something is told: `HELD` sd.
 
-    The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
-    nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
-    1987, sec. 1.1). So a slope goes to the new one slowly, unless that is further off than `HELD` sd of the velocity.
-    Were it to stay, a turn would leave it off by as much, and each leg would tell something else of the constant. near
-    (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the reading before. first:
-    where the sensor's parameters stand in P; turned: by how much the noise of the gyros moves the instrument [m^2/s^2],
-    the largest of its axes. Those before `begin` are a current: of the velocity through the water it
-    is the difference that counts, which a log tells well where velocity and current are both unknown.
+    near (a, 9 + parameters): its Jacobian; first: where the sensor's parameters stand in P; turned: by how much the
+    noise of the gyros moves the instrument [m^2/s^2], the largest of its axes. Those before `begin` are a current: of
+    the velocity through the water it is the difference that counts, which a log tells well where velocity and current
+    are both unknown.
     """
     most = 0.0
     for i in range(near.shape[0]):
@@ -293,11 +288,31 @@ def limit_velocity_slopes(P, near, held, begin, first, turned):
                     s += P[row, first + k] * near[i, 9 + k]
                 variance += f * s
         most = max(most, variance)
-    band = HELD * math.sqrt(most + turned)
+    return HELD * math.sqrt(most + turned)
+
+
+@njit(cache=True, inline="always")
+def held_slope(new, old, band):
+    """A slope that is a velocity, of a scale or a misalignment: it follows the velocity no closer than it is known.
+
+    The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
+    nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
+    1987, sec. 1.1). So a slope goes to the new one slowly, unless that is further off than the band. Were it to stay, a
+    turn would leave it off by as much, and each leg would tell something else of the constant.
+    """
+    return old + FOLLOWED * (new - old) if abs(new - old) <= band else new
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def limit_velocity_slopes(P, near, held, begin, first, turned):
+    """Hold the slopes of a velocity by its scale and misalignment, see `held_slope`: in columns from 9 + begin on of
+    near the new ones; held (a, k): those of the reading before. The rest as for `velocity_band`.
+    """
+    band = velocity_band(P, near, begin, first, turned)
     for i in range(near.shape[0]):
         for j in range(held.shape[1]):
-            new, old = near[i, 9 + begin + j], held[i, j]
-            near[i, 9 + begin + j] = old + FOLLOWED * (new - old) if abs(new - old) <= band else new
+            near[i, 9 + begin + j] = held_slope(near[i, 9 + begin + j], held[i, j], band)
 
 
 @apart

@@ -414,7 +414,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
 @njit(cache=True, **UNCOUNTED)
 def memory_offsets(dims):
     """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near,
-    verdict, work, and the end.
+    verdict, work, and the end. Before near the slopes by a scale that has jumped, an axis each, see `fault_states`.
 
     dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters; what follows is
     not looked at. Everything before S has the layout of a tape record (see `smooth_record`), which starts with the
@@ -428,7 +428,7 @@ def memory_offsets(dims):
     turn = res + a
     S = turn + 6
     PH = S + 2 * a * a
-    near = PH + a * n
+    near = PH + a * n + a
     verdict = near + a * (9 + dims[6])
     work = verdict + 8 + 2 * a  # behind the verdict stands what is noted of readings: see `stretch.LAST_S`
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
@@ -489,7 +489,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
         for j in range(errors):
             res[i] -= C[i, j] * x[start - 9 + j]
     _whole_jacobian(H, near, C, start, dims[2])
-    S, PH, out = shaped(mem[iS:iP], 2 * a, a), shaped(mem[iP:ine], a, n), mem[iv : iv + 3 + 2 * a]
+    S, PH, out = shaped(mem[iS:iP], 2 * a, a), shaped(mem[iP : iP + a * n], a, n), mem[iv : iv + 3 + 2 * a]
     missing = 0
     for i in range(a):
         missing += math.isnan(res[i])

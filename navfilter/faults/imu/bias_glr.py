@@ -131,7 +131,7 @@ class BiasJumpGlr:
         yield from self._leave_out(filter, sizes[window, :AXES])
 
     def accused(self, filter: FilterState, slope: float) -> Iterator[Action]:
-        """Leave the unit out for a while because of a ramp (`navfilter.faults.imu.acceleration`): it is its tilt, or a
+        """Leave the unit out for a while because of a ramp (`navfilter.faults.velocity_evidence`): it is its tilt, or a
         bias.
 
         Parameters
