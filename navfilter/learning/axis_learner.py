@@ -53,8 +53,8 @@ class Learner:
 
     The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
     without; orders are weighed by BIC, with the slow part integrated out. Of that there is a posterior. One model is
-    handed out, with the mean spectrum of white and coloured fast parts and the mean covariance of slow ones.
-    What the data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
+    handed out, with the mean spectrum of white and coloured fast parts and the mean covariance of slow ones. What the
+    data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
     estimates are known, from which it begins.
 
     Parameters
@@ -168,7 +168,9 @@ class Learner:
         except ValueError:
             return None
         # a drift that scatters by more than the readings do is not that of the instruments: it hides the sensor's error
-        if self.drift.order and np.nanmean(np.diff(likelihood.y) ** 2) < likelihood.chain[1, 0, 0]:
+        known = np.flatnonzero(np.isfinite(likelihood.y))
+        scatter = float(np.mean(np.diff(likelihood.y[known]) ** 2 / np.diff(known)))
+        if self.drift.order and scatter < likelihood.chain[1, 0, 0]:
             return None
         fresh = y.size if fresh is None else fresh
         heard = fresh + self._memory.heard
