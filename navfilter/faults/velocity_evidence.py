@@ -173,7 +173,9 @@ def force(channel: Channel) -> float | None:
         return None
     sds = np.repeat([math.sqrt(float(channel.limits[1] * channel.S[: channel.axes].max())), settings.RAMP_M_S2], 2)
     ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
-    others = max(0.0, _jump(channel, kept), _description(channel, kept).gain)
+    # a description that is wrong would have shown itself before, in a sensor that was right for long
+    described = 0.0 if channel.faults.undisputed else _description(channel, kept).gain
+    others = max(0.0, _jump(channel, kept), described)
     return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > others + settings.JUMP_ODDS else None
 
 
