@@ -22,7 +22,7 @@ from navfilter.faults import ground_velocity, settings
 from navfilter.faults.alternative_path import most_speed
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.kernels import strapdown
+from navfilter.kernels import imu_checks, strapdown
 
 __all__ = ["VelocityEvidence", "accused", "covered", "describes", "force", "with_refused"]
 
@@ -148,9 +148,10 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         Of the reading [s].
     """
     kept, right = channel.faults, _was_right(filter, channel)
+    turns = right and float(np.linalg.norm(filter.memory.monitor.imu[:3, imu_checks.MEAN])) > settings.TURNING
     if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
         return 0.0
-    size = force(channel) if right else None
+    size = force(channel) if right and not turns else None
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
         kept.evidence = None
