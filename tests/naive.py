@@ -1033,7 +1033,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     a, n, m, _, start, errors, par = dims[:7]
     at = memory_offsets(dims)
     H, K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
-    S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7]].reshape(a, n)
+    S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7] - a].reshape(a, n)
     near, res = mem[at[7] : at[8]].reshape(a, 9 + par), mem[at[3] : at[4]]
     others = np.zeros((a, start - m)), np.zeros((a, n - start - errors - par))
     H[:] = np.hstack([near[:, :9], H[:, 9:m], others[0], C, near[:, 9:], others[1]])

@@ -22,7 +22,7 @@ from navfilter.faults import ground_velocity, settings
 from navfilter.faults.alternative_path import most_speed
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.kernels import strapdown
+from navfilter.kernels import imu_checks, strapdown
 
 __all__ = ["VelocityEvidence", "accused", "covered", "describes", "force", "with_refused"]
 
@@ -148,9 +148,10 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         Of the reading [s].
     """
     kept, right = channel.faults, _was_right(filter, channel)
+    turns = right and float(np.linalg.norm(filter.memory.monitor.imu[:3, imu_checks.MEAN])) > settings.TURNING
     if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
         return 0.0
-    size = force(channel) if right else None
+    size = force(channel) if right and not turns else None
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
         kept.evidence = None
@@ -173,7 +174,9 @@ def force(channel: Channel) -> float | None:
         return None
     sds = np.repeat([math.sqrt(float(channel.limits[1] * channel.S[: channel.axes].max())), settings.RAMP_M_S2], 2)
     ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
-    others = max(0.0, _jump(channel, kept), _description(channel, kept).gain)
+    # a description that is wrong would have shown itself before, in a sensor that was right for long
+    described = 0.0 if channel.faults.undisputed else _description(channel, kept).gain
+    others = max(0.0, _jump(channel, kept), described)
     return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > others + settings.JUMP_ODDS else None
 
 
