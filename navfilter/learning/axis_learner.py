@@ -197,11 +197,7 @@ class Learner:
         """The most probable kind without quick colour, then the most probable other, and how probable; one alone where
         the other is not by `LEAST_WEIGHT`.
         """
-        best = [
-            min(some, key=lambda kind: scores[kind])
-            for coloured in (False, True)
-            if (some := [kind for kind in scores if any(kind[:2]) == coloured])
-        ]
+        best = _best_of_each(scores)
         weights = softmax([-scores[kind] for kind in best]).tolist()
         if min(weights) < LEAST_WEIGHT:
             return {best[int(np.argmax(weights))]: 1.0}
@@ -265,14 +261,17 @@ class Learner:
         return fits
 
     def _ration(self, able: list[Kind]) -> list[Kind]:
-        """What to fit: all while the window fills, then the two best, and one of the others in turn."""
+        """What to fit: all while the window fills, then the two best, the best without quick colour and the best with
+        one, and one of the others in turn.
+        """
         memory = self._memory
         if memory.heard < self.window // 2 or any(kind not in memory.scores for kind in able):
             return able
         ranked = sorted(able, key=lambda kind: (memory.scores[kind], sum(kind)))
-        others = sorted(ranked[2:])
+        chosen = {*ranked[:2], *_best_of_each({kind: memory.scores[kind] for kind in ranked})}
+        others = sorted(set(able) - chosen)
         turn = [others[memory.turn % len(others)]] if others else []
-        return sorted([*ranked[:2], *turn], key=lambda kind: (sum(kind[:2]), kind))
+        return sorted([*chosen, *turn], key=lambda kind: (sum(kind[:2]), kind))
 
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], n: int) -> dict[Kind, Point]:
         """An order beside a slow part of second order."""
@@ -315,6 +314,12 @@ class Learner:
         lines = _lines(chosen, found)
         grown = heard if again else memory.grown
         self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
+
+
+def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:
+    """The most probable kind without quick colour, and the most probable with one; of those that there are."""
+    kinds = ([kind for kind in scores if any(kind[:2]) == coloured] for coloured in (False, True))
+    return [min(some, key=lambda kind: scores[kind]) for some in kinds if some]
 
 
 def _lines(chosen: Iterable[Kind], found: Sequence[Found]) -> dict[Kind, dict[Place, Line]]:
