@@ -52,9 +52,9 @@ class Learner:
     """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
 
     The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
-    without; orders are weighed by BIC, with the slow part integrated out. Of that there is a posterior. One model is
-    handed out, with the mean spectrum of white and coloured fast parts and the mean covariance of slow ones. What the
-    data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
+    without; orders are weighed by BIC, with the slow part integrated out. Beside the likeliest ones the slow part
+    has a posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
+    covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
     estimates are known, from which it begins.
 
     Parameters
@@ -170,7 +170,7 @@ class Learner:
         # a drift that scatters by more than the readings do is not that of the instruments: it hides the sensor's error
         known = np.flatnonzero(np.isfinite(likelihood.y))
         scatter = float(np.mean(np.diff(likelihood.y[known]) ** 2 / np.diff(known)))
-        if self.drift.order and scatter < likelihood.chain[1, 0, 0]:
+        if scatter < likelihood.chain[1, 0, 0]:
             return None
         fresh = y.size if fresh is None else fresh
         heard = fresh + self._memory.heard
@@ -182,15 +182,16 @@ class Learner:
             if all(_is_usable(one.point) for one in found):
                 self._memory = replace(self._memory, heard=heard, lines=_lines(self._memory.chosen, found))
                 return AxisFit(likelihood, found, n)
-        # what is heard for the first time is half of it
+        # as much has been heard since larger orders were begun from smaller ones as before
         again = heard >= 2 * self._memory.grown
         fits = self._fits(likelihood, able, n, again)
         if not fits:
             return None
         fits |= self._smooth(likelihood, fits, n)
-        chosen = self._weighed({kind: self._score(likelihood, point, n) for kind, point in fits.items()})
+        scores = {kind: self._score(likelihood, point, n) for kind, point in fits.items()}
+        chosen = self._weighed(scores)
         found = tuple(self._found(likelihood, kind, fits[kind], weight, new=True) for kind, weight in chosen.items())
-        self._keep(likelihood, fits, chosen, found, heard, again, n)
+        self._keep(likelihood, fits, scores, chosen, found, heard, again)
         return AxisFit(likelihood, found, n)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
@@ -208,7 +209,7 @@ class Learner:
         if self.prior is None or not _is_usable(point):
             return Found(point, None, weight)
         lines = self._memory.lines
-        known = lines.get(kind) if not new or kind in lines else next(iter(lines.values()), None)
+        known = lines.get(kind) or next(iter(lines.values()), None)
         return Found(point, slow_posterior(likelihood, point, known, not new), weight)
 
     def _is_fitted(self, able: list[Kind], heard: int) -> bool:
@@ -233,9 +234,9 @@ class Learner:
         return point.value + 0.5 * criterion("bic", 0.0, fast, n) - log_share(likelihood, point)
 
     def _fits(self, likelihood: Likelihood, able: list[Kind], n: int, again: bool) -> dict[Kind, Point]:
-        """The orders whose turn it is, without a slow part and beside one of first order, each from its last estimate;
-        `again` and again from smaller ones: what was found of few readings may be near a lower maximum, and a step
-        never leaves it.
+        """The orders whose turn it is, without a slow part and beside one of first order. Each begins from its last
+        estimate, and where `again` is set from smaller ones, too: what was found of few readings may be near a lower
+        maximum, which no step leaves.
         """
         memory, fits = self._memory, dict[Kind, Point]()
         best, shares = math.inf, [0.0, 0.0]
@@ -296,20 +297,18 @@ class Learner:
         self,
         likelihood: Likelihood,
         fits: dict[Kind, Point],
+        scores: dict[Kind, float],
         chosen: dict[Kind, float],
         found: tuple[Found, ...],
         heard: int,
         again: bool,
-        n: int,
     ) -> None:
-        memory, scores = self._memory, dict[Kind, float]()
+        memory, lowest = self._memory, min(scores.values())
         # of the smooth ones the one that was tried last
         thetas = {kind: theta for kind, theta in memory.thetas.items() if kind[2] < 2}
         for (p, q, slow), point in fits.items():
             thetas[p, q, slow] = theta = point.theta.copy()
             theta[p + q : p + q + 1 + bool(slow)] -= likelihood.log_unit
-            scores[p, q, slow] = self._score(likelihood, point, n)
-        lowest = min(scores.values())
         gaps = {**memory.scores, **{kind: score - lowest for kind, score in scores.items()}}
         lines = _lines(chosen, found)
         grown = heard if again else memory.grown

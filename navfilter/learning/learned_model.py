@@ -85,8 +85,8 @@ def _fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
 
 
 def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency: Array) -> tuple[Array, Array]:
-    """Spectra of the whole error, and their weights: the fast part as far as it is known given the slow one, and that
-    over its posterior.
+    """Spectra of the whole error, shape (n, frequencies), and their weights: equally probable ones of the fast part,
+    each with all nodes of the slow part's posterior.
     """
     period_s, k = likelihood.drift.period_s, model.p + model.q + 1
     covariance = np.asarray(np.linalg.inv(found.point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
