@@ -137,9 +137,11 @@ def test_white_noise_and_colour_are_both_weighed_at_every_hop(monkeypatch):
 def test_readings_that_scatter_less_than_the_drift_tell_nothing():
     """Where the drift is the vehicle's own motion and no instrument's noise, the motion would be learnt as an error."""
     y = series([gauss_markov(1.0, 2.0)], TACTICAL, 2000, 34)
+    halved = np.where(np.arange(y.size) % 2, np.nan, y)
     for density, told in ((TACTICAL.density[0], True), (50.0, False)):
-        learner = Learner(ORDERS, 2000, Drift((density, *TACTICAL.density[1:]), PERIOD_S), prior=believing(1.0))
-        assert (learner.hop(y) is not None) == told
+        for readings in (y, halved):
+            learner = Learner(ORDERS, 2000, Drift((density, *TACTICAL.density[1:]), PERIOD_S), prior=believing(1.0))
+            assert (learner.hop(readings) is not None) == told
 
 
 def test_a_hop_tells_what_its_window_says(monkeypatch):
