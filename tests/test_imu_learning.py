@@ -242,6 +242,15 @@ def test_white_noise_that_fails_a_test_of_whiteness_stays_white():
     assert plainer(coloured, nf.simulate_arma([-0.3], [], GYRO_SD, 4000, seed=1), drift, 0.0) is coloured
 
 
+def test_an_axis_is_white_or_coloured_and_not_both():
+    """Of colour that 4000 samples hardly show: white noise beside it kept it from being made plainer."""
+    gyro, accel = (walk + nf.Arma((-0.05,), (), sd) for walk, sd in ((WALK, GYRO_SD), (FORCE_WALK, FORCE_SD)))
+    nav = run(vehicle_of(), at_rest(65.0, gyro, accel))
+    parts = [learned_part(model) for model in nav.filter.in_force.drive.models]
+    assert {part.model.p for part in parts} == {0, 1}
+    assert all(part.slow is None for part in parts)
+
+
 def test_the_bias_follows_an_adoption_of_another_walk():
     """Its estimate and variance stay; only how it wanders from now on changes."""
     nav = run(vehicle_of(), at_rest(3.0))

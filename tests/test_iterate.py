@@ -250,20 +250,22 @@ def test_every_adoption_is_in_the_summary(tmp_path):
         gain = (1.0 + sum(step["ma"])) / (1.0 + sum(step["ar"]))
         # a Gauss-Markov process has twice its variance times its correlation time, per second
         slow = sum(2.0 * slow.sd**2 * slow.tau_s for slow in part.slow_parts) * vehicle.sensors["compass"].rate_hz
-        assert step["s0"] == pytest.approx((step["sd"] * gain) ** 2 + slow, rel=0.01)
+        assert step["s0"] == pytest.approx((step["sd"] * gain) ** 2 + step["white"] ** 2 + slow, rel=0.01)
         assert step["pole_radius"] == pytest.approx(np.abs(np.roots([1.0, *step["ar"]])).max(initial=0.0))
 
 
 def test_axes_are_told_apart_and_repetitions_left_out():
     """A change of one axis is no news of the others."""
     track = replay(*dive())
-    a, b = LearnedArma(model=ArmaModel([-0.5], [], 0.1)), LearnedArma(model=ArmaModel([], [], 0.2), frozen=True)
+    a = LearnedArma(model=ArmaModel([-0.5], [], 0.1), slow=nf.White(sd=0.05))
+    b = LearnedArma(model=ArmaModel([], [], 0.2), frozen=True)
     told = dataclasses.replace(
         track, error_models={"dvl": [(0.0, (a, nf.White(sd=1.0), a)), (9.0, (a, b, b))], "gyro": [(3.0, (a, a, b))]}
     )
     steps = {title: [(s["time_s"], s["order"], s["frozen"]) for s in steps] for title, steps in told.adopted().items()}
     first, later = (0.0, [1, 0], False), (9.0, [0, 0], True)
     assert steps["dvl x"] == [first] and steps["dvl y"] == [later] and steps["dvl z"] == [first, later]
+    assert [step["white"] for step in told.adopted()["dvl z"]] == pytest.approx([0.05, 0.0])
     assert steps["gyro x"] == [(3.0, [1, 0], False)] and steps["gyro z"] == [(3.0, [0, 0], True)]
 
 

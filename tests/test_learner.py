@@ -123,12 +123,25 @@ def test_a_slow_part_does_not_stand_for_a_quick_error(seed):
     assert tau_s == pytest.approx(6.0, rel=0.35)
 
 
+def test_white_noise_and_colour_are_both_weighed_at_every_hop(monkeypatch):
+    """White noise was not fitted again where the two best orders were coloured, and came out by turns only."""
+    seen, own = [], Learner._weighed
+    monkeypatch.setattr(Learner, "_weighed", lambda self, scores: seen.append(scores) or own(self, scores))
+    learner, y = Learner(ORDERS, 1000, TACTICAL), series([ArmaModel([-0.1], [], 1.0)], TACTICAL, 6000, 5)
+    for end in range(1000, 6001, 1000):
+        learner.hop(y[:end], 1000)
+    assert len(seen) == 6
+    assert all({any(kind[:2]) for kind in scores} == {False, True} for scores in seen)
+
+
 def test_readings_that_scatter_less_than_the_drift_tell_nothing():
     """Where the drift is the vehicle's own motion and no instrument's noise, the motion would be learnt as an error."""
     y = series([gauss_markov(1.0, 2.0)], TACTICAL, 2000, 34)
+    halved = np.where(np.arange(y.size) % 2, np.nan, y)
     for density, told in ((TACTICAL.density[0], True), (50.0, False)):
-        learner = Learner(ORDERS, 2000, Drift((density, *TACTICAL.density[1:]), PERIOD_S), prior=believing(1.0))
-        assert (learner.hop(y) is not None) == told
+        for readings in (y, halved):
+            learner = Learner(ORDERS, 2000, Drift((density, *TACTICAL.density[1:]), PERIOD_S), prior=believing(1.0))
+            assert (learner.hop(readings) is not None) == told
 
 
 def test_a_hop_tells_what_its_window_says(monkeypatch):

@@ -77,6 +77,10 @@ def test_a_model_that_is_no_such_sum_has_its_power_by_frequency():
         (White(sd=0.1 * RAD) + GaussMarkov(sd=1.0 * RAD, tau_s=300.0), "white 0.10 deg, slow error 1.0 deg over 300 s"),
         (Arma(ar=[0.9], sd=0.1 * RAD), "alternates from reading to reading by 0.23 deg"),
         (LearnedArma(model=slow(60.0, 1.0 * RAD)), "slow error 1.0 deg over 60 s"),
+        (
+            LearnedArma(model=slow(2.0, 1.0 * RAD), slow=GaussMarkov(0.5 * RAD, 60.0) + White(sd=0.1 * RAD)),
+            "slow error 0.50 deg over 60 s, white 0.10 deg, slow error 1.0 deg over 2.0 s",
+        ),
     ],
 )
 def test_error_models_in_words(model, words):

@@ -180,7 +180,7 @@ def _part_words(part: ErrorModel, scale: Scale) -> str:
     if isinstance(part, Arma):
         return model_words(ArmaModel(np.array(part.ar), np.array(part.ma), part.sd), scale)
     if isinstance(part, LearnedArma) and part.model is not None:
-        return ", ".join([*(_part_words(slow, scale) for slow in part.slow_parts), model_words(part.model, scale)])
+        return ", ".join([*(_part_words(one, scale) for one in part.beside), model_words(part.model, scale)])
     if isinstance(part, LearnedArma):
         return f"to be learnt{'' if part.prior is None else f', until then {error_words(part.prior, scale)}'}"
     return str(part)

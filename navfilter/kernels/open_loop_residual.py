@@ -42,8 +42,9 @@ EAR = MOUNT + AXES + 9
 # The level changes from one reading to the next with this probability [1]: in 50 minutes at 8 Hz. Ten times as often,
 # it is changed four times as often, and errors are the same.
 CHANGES = 4e-5
-# A single reading counts up to this NIS, of 1 to 6 components, where levels are told apart, or a spike would be another
-# level for a moment: as improbable as three standard deviations of one (chi-square); and where fixes are judged [1].
+# Where levels are told apart, a single reading counts up to this NIS [1], or a spike would be another level for a
+# moment: by chi-square of 1 to 6 components as improbable as three standard deviations of one. `NIS_MOST` is the same
+# where fixes are judged [1].
 MOST, NIS_MOST = (9.0, 11.83, 14.16, 16.25, 18.21, 20.06), 25.0
 
 

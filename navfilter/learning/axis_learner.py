@@ -52,9 +52,9 @@ class Learner:
     """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
 
     The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
-    without; orders are weighed by BIC, with the slow part integrated out. Of that there is a posterior. One model is
-    handed out, with the mean spectrum of white and coloured fast parts and the mean covariance of slow ones. What the
-    data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
+    without; orders are weighed by BIC, with the slow part integrated out. Beside the likeliest ones the slow part
+    has a posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
+    covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
     estimates are known, from which it begins.
 
     Parameters
@@ -170,7 +170,7 @@ class Learner:
         # a drift that scatters by more than the readings do is not that of the instruments: it hides the sensor's error
         known = np.flatnonzero(np.isfinite(likelihood.y))
         scatter = float(np.mean(np.diff(likelihood.y[known]) ** 2 / np.diff(known)))
-        if self.drift.order and scatter < likelihood.chain[1, 0, 0]:
+        if scatter < likelihood.chain[1, 0, 0]:
             return None
         fresh = y.size if fresh is None else fresh
         heard = fresh + self._memory.heard
@@ -182,26 +182,23 @@ class Learner:
             if all(_is_usable(one.point) for one in found):
                 self._memory = replace(self._memory, heard=heard, lines=_lines(self._memory.chosen, found))
                 return AxisFit(likelihood, found, n)
-        # what is heard for the first time is half of it
+        # as much has been heard since larger orders were begun from smaller ones as before
         again = heard >= 2 * self._memory.grown
         fits = self._fits(likelihood, able, n, again)
         if not fits:
             return None
         fits |= self._smooth(likelihood, fits, n)
-        chosen = self._weighed({kind: self._score(likelihood, point, n) for kind, point in fits.items()})
+        scores = {kind: self._score(likelihood, point, n) for kind, point in fits.items()}
+        chosen = self._weighed(scores)
         found = tuple(self._found(likelihood, kind, fits[kind], weight, new=True) for kind, weight in chosen.items())
-        self._keep(likelihood, fits, chosen, found, heard, again, n)
+        self._keep(likelihood, fits, scores, chosen, found, heard, again)
         return AxisFit(likelihood, found, n)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
         """The most probable kind without quick colour, then the most probable other, and how probable; one alone where
         the other is not by `LEAST_WEIGHT`.
         """
-        best = [
-            min(some, key=lambda kind: scores[kind])
-            for coloured in (False, True)
-            if (some := [kind for kind in scores if any(kind[:2]) == coloured])
-        ]
+        best = _best_of_each(scores)
         weights = softmax([-scores[kind] for kind in best]).tolist()
         if min(weights) < LEAST_WEIGHT:
             return {best[int(np.argmax(weights))]: 1.0}
@@ -212,7 +209,7 @@ class Learner:
         if self.prior is None or not _is_usable(point):
             return Found(point, None, weight)
         lines = self._memory.lines
-        known = lines.get(kind) if not new or kind in lines else next(iter(lines.values()), None)
+        known = lines.get(kind) or next(iter(lines.values()), None)
         return Found(point, slow_posterior(likelihood, point, known, not new), weight)
 
     def _is_fitted(self, able: list[Kind], heard: int) -> bool:
@@ -237,9 +234,9 @@ class Learner:
         return point.value + 0.5 * criterion("bic", 0.0, fast, n) - log_share(likelihood, point)
 
     def _fits(self, likelihood: Likelihood, able: list[Kind], n: int, again: bool) -> dict[Kind, Point]:
-        """The orders whose turn it is, without a slow part and beside one of first order, each from its last estimate;
-        `again` and again from smaller ones: what was found of few readings may be near a lower maximum, and a step
-        never leaves it.
+        """The orders whose turn it is, without a slow part and beside one of first order. Each begins from its last
+        estimate, and where `again` is set from smaller ones, too: what was found of few readings may be near a lower
+        maximum, which no step leaves.
         """
         memory, fits = self._memory, dict[Kind, Point]()
         best, shares = math.inf, [0.0, 0.0]
@@ -265,14 +262,17 @@ class Learner:
         return fits
 
     def _ration(self, able: list[Kind]) -> list[Kind]:
-        """What to fit: all while the window fills, then the two best, and one of the others in turn."""
+        """What to fit: all while the window fills, then the two best, the best without quick colour and the best with
+        one, and one of the others in turn.
+        """
         memory = self._memory
         if memory.heard < self.window // 2 or any(kind not in memory.scores for kind in able):
             return able
         ranked = sorted(able, key=lambda kind: (memory.scores[kind], sum(kind)))
-        others = sorted(ranked[2:])
+        chosen = {*ranked[:2], *_best_of_each({kind: memory.scores[kind] for kind in ranked})}
+        others = sorted(set(able) - chosen)
         turn = [others[memory.turn % len(others)]] if others else []
-        return sorted([*ranked[:2], *turn], key=lambda kind: (sum(kind[:2]), kind))
+        return sorted([*chosen, *turn], key=lambda kind: (sum(kind[:2]), kind))
 
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], n: int) -> dict[Kind, Point]:
         """An order beside a slow part of second order."""
@@ -297,24 +297,28 @@ class Learner:
         self,
         likelihood: Likelihood,
         fits: dict[Kind, Point],
+        scores: dict[Kind, float],
         chosen: dict[Kind, float],
         found: tuple[Found, ...],
         heard: int,
         again: bool,
-        n: int,
     ) -> None:
-        memory, scores = self._memory, dict[Kind, float]()
+        memory, lowest = self._memory, min(scores.values())
         # of the smooth ones the one that was tried last
         thetas = {kind: theta for kind, theta in memory.thetas.items() if kind[2] < 2}
         for (p, q, slow), point in fits.items():
             thetas[p, q, slow] = theta = point.theta.copy()
             theta[p + q : p + q + 1 + bool(slow)] -= likelihood.log_unit
-            scores[p, q, slow] = self._score(likelihood, point, n)
-        lowest = min(scores.values())
         gaps = {**memory.scores, **{kind: score - lowest for kind, score in scores.items()}}
         lines = _lines(chosen, found)
         grown = heard if again else memory.grown
         self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
+
+
+def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:
+    """The most probable kind without quick colour, and the most probable with one; of those that there are."""
+    kinds = ([kind for kind in scores if any(kind[:2]) == coloured] for coloured in (False, True))
+    return [min(some, key=lambda kind: scores[kind]) for some in kinds if some]
 
 
 def _lines(chosen: Iterable[Kind], found: Sequence[Found]) -> dict[Kind, dict[Place, Line]]:

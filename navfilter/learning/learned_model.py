@@ -34,7 +34,7 @@ class LearnedModel(NamedTuple):
         The fast part; its `sd_log_s0` is that of the whole error.
     slow : tuple of ErrorModel
         What stands beside it: at most two Gauss-Markov processes that carry the mean covariance of the slow part, and
-        white noise where the description has some.
+        white noise where the error may be white, or is described so.
     spectrum : Spectrum
         Of the whole error, with its uncertainty.
     """
@@ -53,8 +53,10 @@ class Found(NamedTuple):
 
 
 def learnt_from(likelihood: Likelihood, found: Sequence[Found], n: int) -> tuple[LearnedModel, Array]:
-    """What a hop hands out, in the unit of the series: the mean spectrum of at most two hypotheses, one of which has no
-    quick colour; and the moments of its slow part, see `SlowPosterior`.
+    """What a hop hands out, in the unit of the series, and the moments of its slow part, see `SlowPosterior`.
+
+    Of two hypotheses, the first of which has no quick colour, the model has the mean spectrum: the fast part of the
+    second one and white noise, each with its share of the variance.
     """
     models = [_fast_model(likelihood, one.point, n) for one in found]
     shares = np.array([one.weight for one in found])
@@ -83,8 +85,8 @@ def _fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
 
 
 def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency: Array) -> tuple[Array, Array]:
-    """Spectra of the whole error, and their weights: the fast part as far as it is known given the slow one, and that
-    over its posterior.
+    """Spectra of the whole error, shape (n, frequencies), and their weights: equally probable ones of the fast part,
+    each with all nodes of the slow part's posterior.
     """
     period_s, k = likelihood.drift.period_s, model.p + model.q + 1
     covariance = np.asarray(np.linalg.inv(found.point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)

@@ -79,7 +79,7 @@ class Likelihood:
         self.drift, self.prior = drift, prior
         self.chain = drift_chain(drift, self.unit)
         r = self.chain.shape[1]
-        # the kernel is written out for chains with a slow part: in its place stands a state that is always zero
+        # the kernel is written out for chains with a slow part: where there is none, a state that is always zero
         idle = np.pad(self.chain, ((0, 0), (0, 1), (0, 1)))
         self._chains = idle, self.chain, self.chain
         self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in (1, 1, 2)]

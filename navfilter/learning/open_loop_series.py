@@ -231,7 +231,7 @@ class OpenLoopSeries:
         return ear
 
     def for_kernel(self) -> tuple[Array, OpenLoopMemory, bool]:
-        """The same, and where it writes; whether anything is learnt."""
+        """`series_kernel`, the memory that the kernel writes to, and whether anything is learnt."""
         return self.series_kernel, self._memory, self.learns
 
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:

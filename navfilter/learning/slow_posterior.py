@@ -122,7 +122,7 @@ def slow_posterior(
     point : Point
         With the fast part, and a slow one near which to look.
     known : dict of (order, number of tau) to Line, optional
-        Those that were possible at an earlier hop: where to look rather.
+        Those that were possible at an earlier hop: where to look instead.
     same : bool
         Whether that was beside the same fast part: others are not possible then.
     """

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.monitor import FilterState
 from navfilter.learning.axis_learner import Learner
+from navfilter.learning.learned_model import learnt_from
 from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.model_reduction import hand_over, plainer
 from navfilter.learning.setup import believed
@@ -256,9 +257,12 @@ class RestRecorder:
             if part is None or learner is None:
                 continue
             y = self.series(axis, part.window, memory.newest)
-            found = learner.hop(y, fresh)
-            if found is None:
+            fit = learner.look(y, fresh)
+            if fit is None:
                 continue
+            # states of an inertial axis cost at every sample: of two hypotheses the likelier one alone
+            likelier = max(fit.found, key=lambda one: one.weight)._replace(weight=1.0)
+            found, _ = learnt_from(fit.likelihood, [likelier], fit.n)
             drift, white, model = self._drifts[axis], self._white[axis], self._described[axis]
             fast, slow = found.model, found.slow
             if not slow:

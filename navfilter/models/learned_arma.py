@@ -75,7 +75,8 @@ class LearnedArma(ErrorModel):
     model : ArmaModel, optional
         The fast part in force; the navigator sets it when it adopts one.
     slow : ErrorModel, optional
-        What is in force beside it: one or two Gauss-Markov processes, and white noise where the prior has some.
+        What is in force beside it: one or two Gauss-Markov processes, and white noise where the error may be white, or
+        is described so.
     frozen : bool
         Keep `model` and learn nothing more: what one dive has taught, used on the next.
     spectrum : Spectrum, optional

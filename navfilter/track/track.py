@@ -235,9 +235,10 @@ class Track(Value):
         Returns
         -------
         dict of str to list of dict
-            "time_s" from when it was in force, "order" (p, q), "ar", "ma", "sd" (of the innovations), "s0" (spectral
-            density at zero frequency, ``sd^2 (C(1) / A(1))^2`` per sample), "sd_log_s0", "pole_radius" (the largest; 0
-            without poles), "flags", "frozen". SI units and radians. Axes that have none are left out.
+            "time_s" from when it was in force; of the fast part "order" (p, q), "ar", "ma", "sd" (of the innovations)
+            and "pole_radius" (the largest; 0 without poles); beside it "slow" (processes) and "white" (standard
+            deviation of white noise); "level"; of the whole "s0" (spectral density at zero frequency per sample) and
+            "sd_log_s0"; "flags", "frozen". SI units and radians. Axes that have none are left out.
         """
         found: dict[str, list[dict[str, Any]]] = {}
         for name, history in self.error_models.items():
@@ -435,6 +436,7 @@ def _plain(time_s: float, part: LearnedArma, model: ArmaModel, period_s: float) 
         "s0": block_level(part.block(period_s)),
         "sd_log_s0": model.sd_log_s0,
         "slow": [{"sd": p.sd, "tau_s": p.tau_s, "order": p.order} for p in part.slow_parts],
+        "white": math.sqrt(sum(beside.block(period_s).r for beside in part.beside)),
         "level": part.level,
         "pole_radius": float(np.abs(model.poles).max(initial=0.0)),
         "flags": sorted(model.flags),
