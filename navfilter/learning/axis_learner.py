@@ -52,10 +52,10 @@ class Learner:
     """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
 
     The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
-    without; orders are weighed by BIC, with the slow part integrated out. Beside the likeliest ones the slow part
-    has a posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
-    covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window says; of earlier ones only the
-    estimates are known, from which it begins.
+    without; orders are weighed by BIC, with the slow part integrated out. Beside the likeliest ones the slow part has a
+    posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
+    covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window
+    says; of earlier ones only the estimates are known, from which it begins.
 
     Parameters
     ----------
