@@ -45,7 +45,7 @@ def accuses(dive, shape, seed, speed=lambda age_s: 1.5, count=12, sd=0.01, first
         filter.memory.nav[3:6] = speed(age_s), 0.0, 0.0
         channel.res[:] = np.array(shape(age_s)) + sd * rng.normal(size=3)
         channel.faults.evidence = velocity_evidence.with_refused(filter, channel, 100.0 + age_s)
-    return velocity_evidence.force(channel)
+    return velocity_evidence.force(channel, described=True)
 
 
 @pytest.mark.parametrize("seed", range(10))

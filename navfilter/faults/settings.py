@@ -289,6 +289,8 @@ ROUNDS = 8
 #: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
 #: refused when the vehicle first moves off. (chosen)
 WAY_M = 50.0
+#: A sensor that was not used for long accuses after so long a time [s], longer than readings are late. (measured)
+LONG_S = 10.0
 #: While the vehicle turns faster, no force is told [rad/s]: an error of the heading is one that grows, too. (chosen)
 TURNING = 0.05
 #: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s]. (chosen)

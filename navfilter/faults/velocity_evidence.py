@@ -47,6 +47,8 @@ class VelocityEvidence:
         What constants explain of the runs before, each with its own, less what such a jump is unlikely [nat].
     since_s, time_s : float
         Since when readings have been refused on end, and of the last of them [s].
+    variance : float
+        Of the innovation when the first of these was refused [m^2/s^2].
     row : ndarray, shape (axes, p)
         Regressors of the last one.
     """
@@ -56,6 +58,7 @@ class VelocityEvidence:
     past: float
     since_s: float
     time_s: float
+    variance: float
     row: Array
 
 
@@ -77,7 +80,7 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     row = _regressors(filter, channel, time_s - since_s + channel.period_s)
     if before is None or before.row.shape != row.shape:
         before = VelocityEvidence(
-            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, row
+            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, math.nan, row
         )
     if on_end:
         # how the velocity over ground has changed since the last one is what a clock makes of it
@@ -92,7 +95,9 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     if before.since_s != since_s:
         past += max(0.0, _constants(channel, before) - settings.JUMP_ODDS)
         sums, counts = np.array([np.zeros_like(added), sums[ALL]]), (0, counts[ALL])
-    return VelocityEvidence(sums + added, (counts[RUN] + count, counts[ALL] + count), past, since_s, time_s, row)
+    variance = before.variance if counts[RUN] else float(channel.S[: channel.axes].max())
+    counts = counts[RUN] + count, counts[ALL] + count
+    return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row)
 
 
 def describes(channel: Channel) -> bool:
@@ -148,10 +153,13 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         Of the reading [s].
     """
     kept, right = channel.faults, _was_right(filter, channel)
-    turns = right and float(np.linalg.norm(filter.memory.monitor.imu[:3, imu_checks.MEAN])) > settings.TURNING
     if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
         return 0.0
-    size = force(channel) if right and not turns else None
+    # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
+    least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S
+    told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= least_s
+    turns = told and float(np.linalg.norm(filter.memory.monitor.imu[:3, imu_checks.MEAN])) > settings.TURNING
+    size = force(channel, right and kept.undisputed) if told and not turns else None
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
         kept.evidence = None
@@ -163,21 +171,22 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
     return None
 
 
-def force(channel: Channel) -> float | None:
+def force(channel: Channel, described: bool) -> float | None:
     """Size of the constant force by which the unit has run away from the velocities refused on end [m/s^2]; None where
     something else explains them as well.
 
-    It began at nothing: when the first of them was refused, it had come to what the gate lets by.
+    It began at nothing: a reading before the first that was refused, it had come to what the gate lets by, but for what
+    it grows by from one to the next. A description that
+    is wrong would have shown itself before, in a sensor that was right for long: it counts as `described` rightly.
     """
     kept = channel.faults.evidence
     if kept is None:
         return None
-    sds = np.repeat([math.sqrt(float(channel.limits[1] * channel.S[: channel.axes].max())), settings.RAMP_M_S2], 2)
+    sds = np.repeat([math.sqrt(float(channel.limits[1]) * kept.variance), settings.RAMP_M_S2], 2)
     ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
-    # a description that is wrong would have shown itself before, in a sensor that was right for long
-    described = 0.0 if channel.faults.undisputed else _description(channel, kept).gain
-    others = max(0.0, _jump(channel, kept), described)
-    return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > others + settings.JUMP_ODDS else None
+    others = max(0.0, _jump(channel, kept), 0.0 if described else _description(channel, kept).gain)
+    began, size = (float(np.linalg.norm(part)) for part in np.split(ramp.mean, 2))
+    return size if ramp.gain > others + settings.JUMP_ODDS and began <= sds[0] + size * channel.period_s else None
 
 
 def _was_right(filter: FilterState, channel: Channel) -> bool:
