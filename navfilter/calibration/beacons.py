@@ -15,8 +15,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = ["locate_beacons"]
-
 Array = NDArray[np.float64]
 #: Directions that are tried around the vehicle.
 DIRECTIONS = 24

@@ -22,8 +22,6 @@ from navfilter.models.sensors import Position
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 
-__all__ = ["UNTOLD", "Calibration", "Found", "calibrate", "with_reference"]
-
 Array = NDArray[np.float64]
 #: A mission that leaves more of the prior's sd than this share has not told a constant.
 UNTOLD = 0.8

@@ -14,8 +14,6 @@ from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import at_the_end
 
-__all__ = ["Estimate", "estimate", "said"]
-
 Array = NDArray[np.float64]
 #: The constants have settled when a step moves none of them by more than this share of its standard deviation.
 SETTLED = 0.1

@@ -16,8 +16,6 @@ from scipy.special import chdtrc
 from navfilter.calibration.parts import Constant, kind_of
 from navfilter.io.units import UNITS
 
-__all__ = ["LEFT", "LIGHTS", "Agreement", "Light", "agreement", "check_limits", "limit_of", "lit"]
-
 #: Share of the described sd that may be left of a constant that is told, where no limit is stated. Twice as much is
 #: what `navfilter calibrate` calls not told.
 LEFT = 0.4

@@ -24,24 +24,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = [
-    "QUICK",
-    "SLOW",
-    "TOGETHER",
-    "Dive",
-    "Known",
-    "OverDives",
-    "Weighed",
-    "from_table",
-    "known_words",
-    "learn",
-    "models_of",
-    "pooled",
-    "posterior",
-    "to_table",
-    "with_gaps",
-]
-
 Array = NDArray[np.float64]
 #: Candidates that are run: so many times the quick and the slow errors that are described, in steps of one standard
 #: deviation of the prior. Files ten times too good are common, such as ten times too bad rare.

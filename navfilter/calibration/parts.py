@@ -16,8 +16,6 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.state import euler_from_matrix, matrix_from_euler, rotation_matrix
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["KINDS", "Constant", "closed", "constants_of", "described", "kind_of", "opened"]
-
 Array = NDArray[np.float64]
 #: What a constant is unsure by where the vehicle says nothing: keys of a sensor's class and their values, by kind.
 KINDS: dict[str, dict[str, Any]] = {

@@ -14,8 +14,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = ["again", "smoothed"]
-
 
 def smoothed(
     vehicle: Vehicle,

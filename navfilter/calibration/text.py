@@ -11,8 +11,6 @@ from navfilter.calibration.parts import Constant
 from navfilter.calibration.validation import Prediction
 from navfilter.check.units_text import amount
 
-__all__ = ["calibration_text"]
-
 #: Units in which constants are shown: name and size in SI.
 _SHOWN = {"rad": ("deg", math.pi / 180.0), "1": ("%", 1e-2)}
 _WIDTH = 30

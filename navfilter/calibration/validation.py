@@ -16,8 +16,6 @@ from navfilter.playback.held_out import Withheld, score
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = ["FOLDS", "Prediction", "Stretches", "predicted", "stretches_of"]
-
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
 #: The stretches of a mission are dealt out to so many parts; each is withheld once.

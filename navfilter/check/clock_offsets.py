@@ -15,16 +15,6 @@ from navfilter.check.finding import Finding
 from navfilter.check.series import Series, correlation, factors, window_edges
 from navfilter.models.mission import Array
 
-__all__ = [
-    "ClockFit",
-    "far_finding",
-    "fitted_clock",
-    "late_by",
-    "late_path_by",
-    "noisy_stretch_finding",
-    "stretched_finding",
-]
-
 #: Delays are looked for up to this, or a quarter of the time that both are there [s], in steps of so much [s].
 MOST_S, STEP_S = 120.0, 0.5
 #: Less is found where sensors are compared closely [s].

@@ -12,21 +12,6 @@ from numpy.typing import NDArray
 from navfilter.check.series import factors, integral, jackknife, window_edges
 from navfilter.models.mission import Array, Mission
 
-__all__ = [
-    "MOST_DELAY_S",
-    "POLAR",
-    "WINDOW_S",
-    "CourseFit",
-    "Paths",
-    "axes_of_the_earth",
-    "course_fit",
-    "displacement",
-    "paths_of",
-    "places_of",
-    "share",
-    "without_gaps",
-]
-
 Complex = NDArray[np.complex128]
 EARTH_RADIUS_M = 6.371e6
 #: Latitudes beyond are ice; more longitudes than latitudes lie beyond [rad].

@@ -27,8 +27,6 @@ from navfilter.navigation.navigator import Navigator
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["describe_error", "describe_vehicle", "zero_frequency"]
-
 _ORDERS = {1: "first", 2: "second", 3: "third", 4: "fourth"}
 _COLUMN = 13
 

@@ -12,8 +12,6 @@ from navfilter.check.course_fit import without_gaps
 from navfilter.check.series import factors, integral, vector, window_edges
 from navfilter.models.mission import Array, Stream
 
-__all__ = ["felt_clock"]
-
 #: An inertial unit is averaged to this [Hz]: no vehicle turns so far within that that the order of turns counts.
 RATE_HZ = 25.0
 #: Velocities are averaged over windows of these lengths [s], not below two readings; that with the surest rate counts:

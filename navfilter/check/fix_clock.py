@@ -14,8 +14,6 @@ from navfilter.check.course_fit import Complex, Paths, displacement, without_gap
 from navfilter.check.series import factors, integral, window_edges
 from navfilter.models.mission import Array
 
-__all__ = ["PathClock", "path_clock"]
-
 #: Displacements are compared over windows of these lengths [s], the first of which says where to begin; over so many
 #: at most.
 WINDOWS_S, MOST_WINDOWS = (10.0, 5.0, 20.0), 2000

@@ -17,8 +17,6 @@ from navfilter.models.state import wrap
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["north_findings"]
-
 #: A kilometre on the Earth [deg].
 KM_DEG = 0.009
 

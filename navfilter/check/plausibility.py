@@ -23,9 +23,6 @@ from navfilter.models.sensors.traits import Plausible
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["check_vehicle"]
-
-
 _MANY_STATES = 120
 
 

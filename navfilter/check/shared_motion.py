@@ -20,8 +20,6 @@ from navfilter.models.mission import Array, Mission, Stream
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["axes_findings", "clock_finding", "felt_clocks", "is_right", "pair_findings", "speeding_up_findings"]
-
 #: Clocks are compared over windows of this length, speeds over longer ones [s].
 TURN_S, WAY_S = 2.0, 4.0
 #: A delay of less is none [s].

@@ -6,8 +6,6 @@ import math
 
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR
 
-__all__ = ["amount", "duration", "root_density", "walk", "with_sd"]
-
 _DEG = math.pi / 180.0
 #: SI unit of a channel -> the units to write it in, the largest first: name, size in SI.
 _SCALES: dict[str, tuple[tuple[str, float], ...]] = {

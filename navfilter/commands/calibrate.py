@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 OK, AS_IT_WAS = 0, 1
 
 ABOUT = "estimate clocks, lever arms, scales, mountings and compass deviation from missions, into a vehicle.toml"

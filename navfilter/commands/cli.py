@@ -18,8 +18,6 @@ from typing import Any, NoReturn
 
 from navfilter.commands import calibrate, compare, console, identify, learn, mission, montecarlo, replay, run, vehicle
 
-__all__ = ["main"]
-
 OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
 _ABOUT = (

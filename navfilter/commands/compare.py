@@ -19,20 +19,6 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.track.track import Track
 
-__all__ = [
-    "ABOUT",
-    "BASELINES",
-    "EPILOG",
-    "Plan",
-    "add_arguments",
-    "compare_tracks",
-    "print_comparison",
-    "replay_models",
-    "run",
-    "true_errors",
-    "write_results",
-]
-
 ABOUT = "run a mission with several kinds of error models and compare what they make of it"
 EPILOG = """\
 the models, by name, for the sensors that correct:

@@ -18,28 +18,6 @@ if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
 
-__all__ = [
-    "add_force_argument",
-    "add_limit_argument",
-    "add_reading_arguments",
-    "add_unpacking_argument",
-    "announce_compilation",
-    "compile_first",
-    "complain",
-    "count",
-    "figures_bar",
-    "limits_of",
-    "new_files",
-    "output_folder",
-    "positive",
-    "read",
-    "row_rate",
-    "show",
-    "speaker",
-    "unpacked_bytes",
-    "whole",
-]
-
 
 def positive(text: str) -> float:
     """Argument type: a finite number above zero."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.track.track import Track
 
-__all__ = ["FILES", "add_arguments", "check", "write_own_formats"]
-
 #: What every replay writes of a track, for the text of a help.
 FILES = "\n".join(f"  {'track' + form.suffix:15} {form.about}" for form in FORMATS if form.always)
 

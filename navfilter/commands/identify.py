@@ -14,8 +14,6 @@ from typing import Any
 
 from navfilter.commands import console, noise_sheet
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 ABOUT = "identify a sensor's error model, or the noise of an inertial unit, from a recording at rest"
 EPILOG = f"""\
 FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:

@@ -13,8 +13,6 @@ from navfilter.commands import console
 if TYPE_CHECKING:
     pass
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 OK, AS_IT_WAS = 0, 1
 
 ABOUT = "learn from several dives how the sensors err, into a vehicle.toml for the next dive"

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from navfilter.commands.console import add_unpacking_argument, speaker, unpacked_bytes
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 OK = 0
 
 ABOUT = "write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...) or a table (CSV)"

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.playback.held_out import Withheld
 
-__all__ = ["SELECTION", "add_arguments", "select", "with_instructions"]
-
 #: Stands below the help of the command.
 SELECTION = """\
 times are those of the mission clock, as in report.html and track.csv; with a plus they count from the recording's

@@ -12,8 +12,6 @@ from typing import Any
 
 from navfilter.commands import console
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 ABOUT = "repeat a simulated scenario with many seeds and compare error models over all runs"
 EPILOG = """\
 one mission is simulated per seed and replayed with every model, so that models meet the same missions:

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from navfilter.io.inertial import ImuRecord
     from navfilter.io.table import TableOptions
 
-__all__ = ["EPILOG", "add_arguments", "run"]
-
 OK, FOUND = 0, 1
 
 EPILOG = """\

@@ -17,8 +17,6 @@ from typing import Any
 
 from navfilter.commands.console import complain, output_folder, speaker
 
-__all__ = ["Replayed", "labels", "replay_all"]
-
 #: Files of the whole: the same figures as a table and for programs.
 TABLE, SUMMARY, CONSTANTS = "recordings.csv", "recordings.json", "constants.html"
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from navfilter.playback.held_out import Withheld
     from navfilter.track.track import Track
 
-__all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "replay_one", "save"]
-
 #: Exit codes of a run whose track is not to be trusted, and of one that nothing in the mission can judge.
 NOT_TRUSTED, NOT_JUDGED = 1, 3
 #: What the command is about, in one line, and what stands below its help.

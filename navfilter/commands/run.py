@@ -12,8 +12,6 @@ from typing import Any
 from navfilter.commands.console import announce_compilation, positive
 from navfilter.foundation.quoting import printable
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 ABOUT = "navigate live: readings in, states out, as line-delimited JSON"
 EPILOG = """\
 readings, one per line, in SI units and radians; null is a missing component:

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from navfilter.commands.console import speaker
 
-__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
-
 OK, FOUND = 0, 1
 
 ABOUT = "write a commented vehicle.toml to start from, or say what one describes and whether it is plausible"

@@ -23,19 +23,6 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White
 from navfilter.models.vehicle import Vehicle
 
-__all__ = [
-    "RULES",
-    "Imm",
-    "InnovationAdaptive",
-    "ReadingRule",
-    "Rule",
-    "SageHusa",
-    "StudentT",
-    "VariationalBayes",
-    "adaptive_monitor",
-    "as_white",
-]
-
 Array = NDArray[np.float64]
 #: R stays within these multiples of the R that is described [1].
 FLOOR, CEILING = 0.1, 100.0

@@ -18,8 +18,6 @@ from navfilter.playback.backward import Apart, apart
 from navfilter.playback.held_out import Score, Withheld, drift, score
 from navfilter.track.track import Track
 
-__all__ = ["Assessment", "assess"]
-
 
 @dataclass(frozen=True)
 class Assessment:

@@ -25,7 +25,7 @@ from navfilter.playback.replay import replay, replay_monitored, residual_series
 from navfilter.timeseries.gauss_markov import fit_gauss_markov
 from navfilter.track.track import Track
 
-__all__ = ["LEAST", "MODELS", "fitted_kinds", "learnable", "replay_rival", "rival", "rivals"]
+__all__ = ["LEAST"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]

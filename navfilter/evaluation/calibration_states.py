@@ -16,8 +16,6 @@ from navfilter.models.during import instrument, shared
 from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.track.track import Track
 
-__all__ = ["Constant", "constant_doubts", "constant_lights", "constants"]
-
 
 class Constant(NamedTuple):
     """A constant state at the end of a run.

@@ -23,8 +23,6 @@ from navfilter.track.track import Track
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Comparison", "compare", "number_text"]
-
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
 

@@ -16,8 +16,6 @@ from navfilter.models.sensors import Sensor, traits
 from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
 from navfilter.track.track import ERRORS, Track
 
-__all__ = ["LAGS", "chi_square_range", "figures_of", "independent", "innovation_series"]
-
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
 

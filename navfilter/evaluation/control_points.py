@@ -18,8 +18,6 @@ from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
 from navfilter.track.track import Track
 
-__all__ = ["Control", "ControlPoint", "control_residuals", "read_control_points"]
-
 
 @dataclass(frozen=True)
 class ControlPoint:

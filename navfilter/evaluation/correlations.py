@@ -20,8 +20,6 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.state import matrix_from_euler
 from navfilter.track.track import Track
 
-__all__ = ["Correlation", "correlation", "correlation_doubts", "correlations"]
-
 Array = NDArray[np.float64]
 #: A mission without any cause says a false word once in so many.
 FALSE_ALARMS = 1e-4

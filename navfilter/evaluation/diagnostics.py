@@ -25,8 +25,6 @@ from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.vehicle import DEAD_RECKONING
 from navfilter.track.track import Track
 
-__all__ = ["LIMITS", "Limits", "doubts"]
-
 
 @dataclass(frozen=True)
 class Limits:

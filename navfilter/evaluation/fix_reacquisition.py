@@ -16,8 +16,6 @@ from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.track.track import Track
 
-__all__ = ["Evidence", "Outage", "Separation", "Surfacing", "evidence", "surfacings"]
-
 Array = NDArray[np.float64]
 
 #: A time without fixes is an outage when it is longer than this [s], and than so many of their usual steps.

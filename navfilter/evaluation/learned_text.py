@@ -18,8 +18,6 @@ from navfilter.models.sensors.traits import shown_unit
 from navfilter.timeseries.model import ArmaModel
 from navfilter.track.track import Track
 
-__all__ = ["LearnedText", "Scale", "density_of", "error_words", "in_force", "learnt", "model_words"]
-
 Array = NDArray[np.float64]
 
 #: Of a pair of poles nearer to the negative axis than this the period means nothing: about two samples.

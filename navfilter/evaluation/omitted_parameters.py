@@ -32,8 +32,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import learns, replay
 from navfilter.track.track import Track
 
-__all__ = ["Apart", "LeftOut", "left_out", "left_out_doubts"]
-
 Array = NDArray[np.float64]
 #: Share of its sd by which a constant may move while the run is to stay what it was.
 HARDLY = 0.03

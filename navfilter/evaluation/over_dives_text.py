@@ -16,8 +16,6 @@ from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.spectrum import Spectrum
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["AxisSpectra", "axis_spectra", "learnt_lines", "to_dict"]
-
 Array = NDArray[np.float64]
 #: From one period in so many samples up to half the rate, at so many frequencies.
 LONGEST, FREQUENCIES = 2000, 60

@@ -14,8 +14,6 @@ from scipy.special import ndtri
 from navfilter.track.heave import heave
 from navfilter.track.track import Track
 
-__all__ = ["ORDERS", "SurveyFigures", "radius", "survey_figures"]
-
 Array = NDArray[np.float64]
 
 #: Orders of IHO S-44 (edition 6) -> total horizontal and vertical uncertainty that it allows at depth 0, 95 % [m]. In

@@ -20,8 +20,6 @@ from navfilter.playback.backward import Apart
 from navfilter.playback.held_out import Drift
 from navfilter.track.track import Track
 
-__all__ = ["Verdict", "judge"]
-
 #: The console shows so many findings; the report has all.
 MOST_LINES = 6
 

@@ -21,17 +21,6 @@ from navfilter.filter.actions import Action, Inflate, MovePosition
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = [
-    "AlternativePath",
-    "believable",
-    "followed",
-    "full_residual",
-    "most_speed",
-    "out_of_reach",
-    "since_fix",
-    "with_rejected",
-]
-
 Array = NDArray[np.float64]
 
 

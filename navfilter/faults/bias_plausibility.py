@@ -23,8 +23,6 @@ from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.sensor_channel import Channel
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["beside", "pulled", "reckoned_since", "reckoned_wrongly"]
-
 Array = NDArray[np.float64]
 
 

@@ -27,8 +27,6 @@ from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset, offset_states, with_offsets
 from navfilter.models.sensors.velocity import FLOWS_M_S
 
-__all__ = ["DeadReckoningComparison", "opened_velocity", "replace_compass", "take_up"]
-
 Array = NDArray[np.float64]
 #: Of the drive's three angles.
 YAW = 2

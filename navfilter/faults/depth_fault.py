@@ -27,8 +27,6 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.models.fault_bias import offset_states, with_offsets
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["are_told", "open_both", "undecided"]
-
 #: Of the height among the navigation states.
 DOWN = 2
 

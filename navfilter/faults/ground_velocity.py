@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["AXES", "as_velocity", "components"]
-
 Array = NDArray[np.float64]
 #: Components of a velocity, and beams that tell it at the least.
 AXES = 3

@@ -25,22 +25,6 @@ from navfilter.models.fault_bias import SCALE, with_offsets
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import rotation_matrix
 
-__all__ = [
-    "TrackRotationFit",
-    "against_the_compass",
-    "direction",
-    "drop_contradicted_offset",
-    "led_astray",
-    "note_heading_used",
-    "of_one_way",
-    "rather_drawn",
-    "seen_turned",
-    "told_by_fixes",
-    "told_here",
-    "turned",
-    "turned_by_fixes",
-]
-
 Array = NDArray[np.float64]
 
 

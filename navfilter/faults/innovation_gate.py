@@ -18,8 +18,6 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["Widening", "reset_variance", "state_contradicted", "whole_heading", "whole_residual", "widening"]
-
 Array = NDArray[np.float64]
 
 #: What tells a place, or a height.

@@ -21,8 +21,6 @@ from navfilter.faults import settings
 from navfilter.models.mechanisation import Imu
 from navfilter.models.sensors import Sensor
 
-__all__ = ["LaneChoice", "LaneChoiceMemory"]
-
 Array = NDArray[np.float64]
 STEPS = round(settings.WINDOW_S / settings.LANE_STEP_S)
 RATIO = (1.0 - settings.OUTLIERS) / settings.OUTLIERS * settings.SPAN / math.sqrt(2.0 * math.pi)

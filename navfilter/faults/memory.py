@@ -23,8 +23,6 @@ from navfilter.kernels import imu_checks
 from navfilter.kernels.batch import LOOK_EVERY_S
 from navfilter.kernels.bias_drift import TIME_S
 
-__all__ = ["MonitorMemory", "SensorFaults"]
-
 Array = NDArray[np.float64]
 
 

@@ -25,8 +25,6 @@ from navfilter.kernels import batch
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["FaultMonitor"]
-
 Array = NDArray[np.float64]
 
 

@@ -25,8 +25,6 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import noise_scale as kernels
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["NoiseScale", "facts", "facts_size", "note_reading", "noted", "size", "variances"]
-
 Array = NDArray[np.float64]
 
 

@@ -37,8 +37,6 @@ from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.models.fault_bias import with_offsets
 from navfilter.models.sensors.observable import Observable
 
-__all__ = ["REJECTED", "pending", "rejected", "used"]
-
 Array = NDArray[np.float64]
 
 

@@ -30,8 +30,6 @@ from numpy.typing import NDArray
 from navfilter.faults import settings
 from navfilter.models.health import LOST_HEADING, LOST_VELOCITY, MARGIN, Trust
 
-__all__ = ["bounds", "trust", "whole_offset"]
-
 Array = NDArray[np.float64]
 
 #: The distance in a plane, and the size of an angle, that noise of unit sd exceeds in that share of the time.

@@ -26,22 +26,6 @@ from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 
-__all__ = [
-    "JUDGED",
-    "RejectionRun",
-    "add_rejection",
-    "alike",
-    "as_usual_until_s",
-    "decided",
-    "disproved",
-    "is_back",
-    "is_gauge",
-    "is_none",
-    "limits",
-    "offset_places",
-    "opened_state",
-]
-
 Array = NDArray[np.float64]
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 

@@ -26,8 +26,6 @@ from navfilter.kernels.batch import (
 from navfilter.models.health import NOISY, SensorHealth, silent_after_s
 from navfilter.models.sensors import Sensor
 
-__all__ = ["SensorMonitor"]
-
 Array = NDArray[np.float64]
 
 

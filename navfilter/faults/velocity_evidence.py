@@ -24,8 +24,6 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks, strapdown
 
-__all__ = ["VelocityEvidence", "accused", "covered", "describes", "force", "with_refused"]
-
 Array = NDArray[np.float64]
 #: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock.
 CURRENT, RAMP, SCALED, ARM, CLOCK = slice(0, 2), slice(2, 4), slice(4, 5), slice(5, 8), slice(8, 9)

@@ -21,8 +21,6 @@ from navfilter.faults import settings
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = ["VelocityFault", "jumped", "shows_itself", "unchanged", "widened_variances"]
-
 Array = NDArray[np.float64]
 
 

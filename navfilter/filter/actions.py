@@ -14,23 +14,6 @@ from navfilter.filter.events import Event
 from navfilter.filter.model_change import Change
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = [
-    "Action",
-    "Adopt",
-    "Announce",
-    "AxisCondition",
-    "Count",
-    "Fold",
-    "Inflate",
-    "MoveError",
-    "MovePosition",
-    "Readmit",
-    "RestartRest",
-    "Reweigh",
-    "Transform",
-    "TurnHeading",
-]
-
 Array = NDArray[np.float64]
 
 

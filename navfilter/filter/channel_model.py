@@ -18,8 +18,6 @@ from navfilter.models.fault_bias import currents, deviations, has_offset, offset
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
-__all__ = ["MOST_SDS", "ChannelModel", "believed", "changes", "delayed_facts"]
-
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,

@@ -13,18 +13,6 @@ from numpy.typing import NDArray
 
 from navfilter.filter.sensor_channel import Channel
 
-__all__ = [
-    "Correction",
-    "Event",
-    "Listening",
-    "Measurement",
-    "Outcome",
-    "Propagated",
-    "SamplesReplaced",
-    "SamplesUsed",
-    "StateTransformed",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -43,8 +43,6 @@ from navfilter.models.start import Start
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Filter", "shared"]
-
 Array = NDArray[np.float64]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 

@@ -12,8 +12,6 @@ from navfilter.filter.imu_intake import ImuIntakeMemory
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel
 
-__all__ = ["COUNTED", "Errors", "FilterMemory"]
-
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted, beside what the monitor counts.

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.kernels import strapdown
 from navfilter.models.mechanisation import Mechanisation
 
-__all__ = ["ImuIntake", "ImuIntakeMemory", "joined", "samples_of"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from navfilter.models.learned_arma import LearnedArma, register_block, register_
 from navfilter.models.vehicle import Vehicle
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Adoption", "Change", "adoption", "handover", "state_change", "transfer"]
-
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 

@@ -24,8 +24,6 @@ from navfilter.models.start import Start
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Actions", "FilterState", "Monitor"]
-
 Array = NDArray[np.float64]
 #: Actions that end with an answer.
 Actions = Generator[Action, None, Any]

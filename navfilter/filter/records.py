@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from navfilter.filter.record_store import RecordStore
 from navfilter.foundation.display import Shown, Value, often, span
 
-__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Tape", "triangle"]
-
 Array = NDArray[np.float64]
 
 #: What can become of a reading, in the order of the codes in `Residuals.outcome`.

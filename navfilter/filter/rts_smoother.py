@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from navfilter.filter.records import CHANGE, Tape
 from navfilter.kernels import kalman
 
-__all__ = ["smooth_rows"]
-
 Array = NDArray[np.float64]
 #: So many rows are given at a time: their covariances are to stay in the second cache.
 ROWS = 64

@@ -21,8 +21,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Channel", "Times", "usable"]
-
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
 MAJORITY = 0.5

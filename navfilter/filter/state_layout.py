@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from navfilter.models.error_models import Block, block_diagonal
 from navfilter.models.parameters import Parameter, checked
 
-__all__ = ["Group", "Layout"]
-
 Array = NDArray[np.float64]
 
 

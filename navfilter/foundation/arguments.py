@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["intervals", "needs", "numbers", "rows_of", "short"]
-
 
 def numbers(values: ArrayLike, owner: str) -> NDArray[np.float64]:
     """What users hand over as an array of float64, without a copy where it is one; masked values are NaN.

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
-__all__ = ["chi_square_limit"]
-
 
 def chi_square_limit(probability: float, dof: ArrayLike) -> NDArray[np.float64]:
     """What chi-square stays below with this probability.

@@ -1,7 +1,5 @@
 """Numbers of physics that several modules need, each once."""
 
-__all__ = ["MILLI_G", "ROOT_HOUR", "ROUND_GRAVITY", "STANDARD_GRAVITY"]
-
 #: Standard gravity [m/s^2] (3rd General Conference on Weights and Measures, 1901): what files and data sheets mean by
 #: g.
 STANDARD_GRAVITY = 9.80665

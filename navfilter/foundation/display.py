@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Shown", "Value", "card", "counted", "few", "lines", "often", "same", "span"]
-
 #: The plural that a phrase begins with, be it the second word: its singular, and what it has beyond that.
 _PLURAL = re.compile(r"((?:\w+ )??\w+?)(?:(?<=x)e)?s\b")
 

@@ -15,8 +15,6 @@ import numpy as np
 from navfilter.foundation.arguments import short
 from navfilter.foundation.display import same
 
-__all__ = ["FrozenDescription", "typed"]
-
 
 class FrozenDescription:
     """A description: a frozen dataclass of numbers, text, other descriptions and tuples of them.

@@ -10,8 +10,6 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["give_back", "mapped"]
-
 #: So many bytes are copied to the file at a time.
 PIECE = 1 << 20
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["refuse_moved"]
-
 _PACKAGE = "navfilter."
 #: Old path and new path, without the package.
 _MOVED = """

@@ -13,8 +13,6 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any, SupportsFloat
 
-__all__ = ["json_value", "one_line", "printable", "toml_key", "toml_literal", "toml_text"]
-
 
 def printable(text: str, but: str = "\n\t") -> str:
     r"""Text in which every character that a terminal would act upon, or hide, is shown by its number.

@@ -20,8 +20,6 @@ from typing import Any, TypeVar, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["copied", "differences", "from_arrays", "misfit", "to_arrays"]
-
 Array = NDArray[np.float64]
 T = TypeVar("T")
 

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.foundation.arguments import numbers
 
-__all__ = ["axis_from", "counts_from_1970", "date_text", "dates", "day", "epoch", "nanoseconds", "seconds", "text"]
-
 Array = NDArray[np.float64]
 _NS = 1_000_000_000
 #: Stamps from September 2001 to the end of 2099 count from 1970 [s]; no other clock of a vehicle stands there but

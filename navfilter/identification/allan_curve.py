@@ -13,8 +13,6 @@ from scipy import stats
 from navfilter.identification.noise_terms import NoiseFit
 from navfilter.timeseries.diagnostics import allan_deviation, allan_edf
 
-__all__ = ["AllanCurve", "allan_curve"]
-
 Array = NDArray[np.float64]
 
 #: Averages per decade.

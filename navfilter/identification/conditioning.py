@@ -12,8 +12,6 @@ from scipy.ndimage import median_filter
 
 from navfilter.io.series import Series
 
-__all__ = ["Conditioned", "bridged", "condition", "gap_free", "quantisation_step"]
-
 Array = NDArray[np.float64]
 
 MAX_SAMPLES = 50_000

@@ -17,8 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-__all__ = ["Bands", "bands_of", "shape"]
-
 Array = NDArray[np.float64]
 
 #: Bands per decade of frequency.

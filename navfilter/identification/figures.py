@@ -23,8 +23,6 @@ from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line
 from navfilter.timeseries.diagnostics import WT_WHITE, acf, pacf
 from navfilter.timeseries.roots import root_sd
 
-__all__ = ["identification_figures"]
-
 Array = NDArray[np.float64]
 
 SAMPLE, MODEL, GREY = COLOURS[1], COLOURS[5], "#777777"

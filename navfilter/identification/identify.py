@@ -24,8 +24,6 @@ from navfilter.timeseries.gauss_markov import GaussMarkovFit, fit_gauss_markov
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.order import OrderTable, cancels, select_order
 
-__all__ = ["Identification", "identify", "model_allan_deviation"]
-
 Array = NDArray[np.float64]
 Say = Callable[[str], Any]
 

@@ -11,8 +11,6 @@ from scipy import optimize
 from navfilter.identification.cosine_spectrum import Bands
 from navfilter.identification.noise_terms import NoiseFit, fit_terms
 
-__all__ = ["drive_terms", "sheet_terms", "upper_limit", "usable"]
-
 Array = NDArray[np.float64]
 
 #: A term is shown where it raises twice the logarithm of the likelihood by so much: one false term in 140 records,

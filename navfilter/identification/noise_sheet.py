@@ -22,8 +22,6 @@ from navfilter.identification.static_detection import bridged_rest, moving_toget
 from navfilter.io.inertial import ImuRecord
 from navfilter.models.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
 
-__all__ = ["AxisSheet", "NoiseSheet", "NotAtRest", "noise_sheet", "quantisation"]
-
 Array = NDArray[np.float64]
 Say = Callable[[str], Any]
 

@@ -19,8 +19,6 @@ from navfilter.io.inertial import ImuRecord
 from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
 from navfilter.rendering.page import escape, heading_html, list_html, table_html
 
-__all__ = ["write_sheet"]
-
 Array = NDArray[np.float64]
 
 _MARKS = ("o", "s", "^")

@@ -15,8 +15,6 @@ from navfilter.identification.noise_sheet import AllanCurve, AxisSheet, NoiseShe
 from navfilter.identification.noise_terms import NoiseFit
 from navfilter.rendering.page import table_text
 
-__all__ = ["allan_rows", "drive_toml", "rows", "sheet_dict", "sheet_text"]
-
 _DEG = 180.0 / math.pi
 _HOUR = 3600.0
 _MICRO_G = 1e-3 * MILLI_G

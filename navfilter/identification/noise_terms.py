@@ -16,8 +16,6 @@ from scipy import optimize, special, stats
 
 from navfilter.identification.cosine_spectrum import Bands, shape
 
-__all__ = ["NoiseFit", "Term", "fit_terms"]
-
 Array = NDArray[np.float64]
 
 #: How far a logarithm may go from where the search begins.

@@ -25,8 +25,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.online.order_bank import ArmaBank
 from navfilter.timeseries.online.recursive import RecursiveArma
 
-__all__ = ["Tracks", "track_online", "tracks_figure", "tracks_text", "write_tracks"]
-
 Array = NDArray[np.float64]
 
 #: Looks at the estimate per window.

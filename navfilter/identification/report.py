@@ -25,8 +25,6 @@ from navfilter.rendering.drawing import style, svg
 from navfilter.rendering.page import figure_html, heading_html, list_html, page, table_html
 from navfilter.timeseries.roots import root_sd
 
-__all__ = ["as_dict", "error_lines", "summary_text", "write_identification", "write_page"]
-
 
 def write_identification(found: Identification, folder: Path, unit: str = "") -> list[Path]:
     """Write identify.json, one .svg per figure and identify.html.

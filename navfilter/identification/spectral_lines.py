@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal, stats
 
-__all__ = ["Line", "reach", "spectral_lines"]
-
 Array = NDArray[np.float64]
 
 #: Samples of a segment at most, and segments at least.

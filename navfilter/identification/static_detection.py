@@ -11,8 +11,6 @@ from scipy import ndimage, signal
 
 from navfilter.identification.conditioning import bridged
 
-__all__ = ["Stillness", "bridged_rest", "moving_together", "stillness", "without_defects"]
-
 Array = NDArray[np.float64]
 
 #: Blocks in which rest is judged [s], and at least so many samples.

@@ -9,8 +9,6 @@ import numpy as np
 
 from navfilter.io.table import Table
 
-__all__ = ["SIZES", "bare_name", "found_axes", "size_of_axes"]
-
 #: Names of columns, without their units, in lower case; the last character is the axis.
 _NAMES = {
     "gyro": r"(?:.*[._ ])?(?:gyros?|gyroscope|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rate|w|g)[._ \[]?",

@@ -17,8 +17,6 @@ from navfilter.io.vehicle_keys import spellings
 from navfilter.io.vehicle_toml import VehicleError, read_vehicle, vehicle_file, write_vehicle
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Unclear", "edited", "write_calibrated"]
-
 #: Fields that a calibration sets.
 _FIELDS = (
     "time_offset_s", "time_offset_sd_s", "lever_arm_b_m", "lever_arm_sd_m", "mounting_rad", "scale_sd",

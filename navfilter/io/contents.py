@@ -9,8 +9,6 @@ from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.traits import Columns, kinds_below
 
-__all__ = ["FORMS", "SD", "SERIES", "TRUTH_ONLY", "contents", "driving", "groups", "kind_of"]
-
 #: Forms of a group that are turned into it when they are read: ECEF or local coordinates into geodetic ones, a
 #: quaternion into angles.
 FORMS: dict[str, tuple[Columns, ...]] = {

@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from navfilter.io.stamps import continued
 
-__all__ = ["ORDERS", "Dated", "is_clock_face", "seconds"]
-
 Array = npt.NDArray[np.float64]
 Text = npt.NDArray[np.str_]
 

@@ -22,8 +22,6 @@ from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import Unit, parse_quantity, unit
 from navfilter.models.mission import MissionError, Stream
 
-__all__ = ["ImuColumns", "ImuRecord", "read_imu", "size_of"]
-
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 

@@ -34,20 +34,6 @@ from navfilter.models.mission import MissionError, Stream
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 
-__all__ = [
-    "BAD_KINDS",
-    "LONGEST_LINE",
-    "BadLine",
-    "Item",
-    "LineParser",
-    "Note",
-    "Reading",
-    "StartLine",
-    "read_log",
-    "start_from",
-    "streams_of",
-]
-
 #: A line longer than this is no reading [bytes].
 LONGEST_LINE = 65536
 #: What can be wrong with a line.

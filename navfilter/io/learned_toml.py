@@ -13,8 +13,6 @@ from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["write_learned"]
-
 _LEARNED = re.compile(r"""\{[^{}]*\bmodel\s*=\s*["']learned-arma["']""")
 
 

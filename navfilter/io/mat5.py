@@ -15,8 +15,6 @@ from pathlib import Path
 
 from navfilter.io.trust import Allowance
 
-__all__ = ["check_mat5"]
-
 _HEADER = 128
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
 #: Bytes of one number, by the type of the element that holds it.

@@ -34,8 +34,6 @@ from navfilter.io.vehicle_toml import (
 )
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["write_over_dives"]
-
 #: Evidence is written to so many digits behind the point [nat].
 _DIGITS = 6
 _TABLES = re.compile(r"(?:^#[^\n]*navfilter learn[^\n]*\n)?^\[\s*learnt\b.*?(?=^\[(?!\s*learnt\b)|\Z)", re.M | re.S)

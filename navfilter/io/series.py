@@ -21,8 +21,6 @@ from navfilter.io.text_tables import delimiter_of, fields_of, marked_encoding
 from navfilter.io.trust import BROKEN, OPENERS, UNPACKED_BYTES, Allowance, Place
 from navfilter.models.mission import MissionError
 
-__all__ = ["Series", "first_lines", "on_a_grid", "read_series"]
-
 Array = npt.NDArray[np.float64]
 
 #: Steps of a clock that stamps bursts: the median lies below this share of the mean, and either fewer than this share

@@ -10,8 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Runs", "continued", "full_after", "runs_of", "shown", "strays"]
-
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 

@@ -14,8 +14,6 @@ from pydantic import model_validator
 from navfilter.io.validation import Strict
 from navfilter.models.mission import MissionError
 
-__all__ = ["BLANK", "Table", "TableOptions", "Where", "listing"]
-
 Array = npt.NDArray[np.float64]
 
 #: Texts that say that there is no value.

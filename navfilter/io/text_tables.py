@@ -22,8 +22,6 @@ from navfilter.io.table import Table, TableOptions
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
 
-__all__ = ["before_comment", "delimiter_of", "fields_of", "marked_encoding", "read_text"]
-
 #: Where lines end other than by themselves (`str.splitlines`), hold nothing, or have spaces around them.
 _UNTIDY = [b"\r", b"\x0b", b"\x0c", b"\x1c", b"\x1d", b"\x1e", b"\n\n", b"\n ", b" \n"]
 _QUOTED = re.compile(r'"(?:[^"]|"")*"')

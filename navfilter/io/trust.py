@@ -14,8 +14,6 @@ from typing import Any
 
 from navfilter.models.mission import MissionError
 
-__all__ = ["BROKEN", "OPENERS", "UNPACKED_BYTES", "Allowance", "Place"]
-
 #: All that the compressed files of one mission may unpack to: a month of inertial samples at 100 Hz is 14 GB, a day
 #: half a GB.
 UNPACKED_BYTES = 4 << 30

@@ -12,8 +12,6 @@ from pydantic import Field
 
 from navfilter.io.units import SUFFIXES
 
-__all__ = ["checked", "constants", "plain_key", "spellings", "times"]
-
 #: Bounds in SI by the name of the key, first match counts. The outer ones are far beyond anything real: they keep
 #: squares, inverses and exponentials of what a file says within the range of floating-point numbers.
 _BOUNDS: tuple[tuple[str, dict[str, Any]], ...] = (

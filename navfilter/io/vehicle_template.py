@@ -21,8 +21,6 @@ from navfilter.models.sensors.heading import COMPASS_ERROR
 from navfilter.models.sensors.traits import kind_name, kinds_below
 from navfilter.models.sensors.velocity import DVL_ERROR
 
-__all__ = ["DRIVES", "vehicle_template"]
-
 DRIVES = ("imu", "imus", "dead-reckoning")
 _WIDTH = 130
 

@@ -25,9 +25,6 @@ from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
 from navfilter.track.track import Track
 from navfilter.track.trust import integrity_figures
 
-__all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
-
-
 #: Version of the layout of summary.json: it rises where a key changes its meaning or goes, not where one is new.
 SCHEMA = 1
 #: Where ``summary.schema.json`` stands.

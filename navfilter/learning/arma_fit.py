@@ -26,8 +26,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.order_criterion import Choice
 from navfilter.timeseries.roots import is_stable
 
-__all__ = ["ChannelFit", "fit_channel", "zero_frequency"]
-
 Array = NDArray[np.float64]
 
 #: What a channel's fit is judged by: as in `ArmaBank`.

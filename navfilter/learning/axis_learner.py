@@ -24,7 +24,7 @@ from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.timeseries.order_criterion import criterion
 
-__all__ = ["AxisFit", "Learner", "LearnerMemory"]
+__all__ = ["LearnerMemory"]
 
 Array = NDArray[np.float64]
 #: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).

@@ -14,8 +14,6 @@ from typing import Any
 
 from navfilter.models.health import LearningHealth
 
-__all__ = ["Task", "Worker"]
-
 
 class _ShortTurns:
     """While it is entered, Python threads take turns after `TURN_S`, so that nobody waits long for this one."""

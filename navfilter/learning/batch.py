@@ -15,8 +15,6 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 from navfilter.models.window_limits import least_window
 
-__all__ = ["change", "learning_sensors", "refitted"]
-
 
 def learning_sensors(vehicle: Vehicle) -> list[str]:
     """Correcting sensors that learn an error model from their readings."""

@@ -17,8 +17,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import add_arma
 from navfilter.timeseries.roots import pull_inside, slowest_real
 
-__all__ = ["cold_starts", "grown_starts", "padded_start", "padded_starts", "with_slow_parts"]
-
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 

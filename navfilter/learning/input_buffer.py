@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement
 
-__all__ = ["InputBuffer", "Rows"]
-
 Array = NDArray[np.float64]
 #: Rows of a piece.
 PIECE = 2048

@@ -17,8 +17,6 @@ from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.spectrum import Spectrum, log_spread
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Found", "LearnedModel", "learnt_from"]
-
 Array = NDArray[np.float64]
 
 #: Middles of nine equally probable parts of a standard normal distribution: the outer ones are its 5 and 95 %.

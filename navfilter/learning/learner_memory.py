@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from navfilter.learning.slow_posterior import Line
 
-__all__ = ["Kind", "LearnerMemory", "Order", "memories", "recall"]
-
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 #: AR and MA order of a fast part, and order of the slow part beside it, 0 without one.

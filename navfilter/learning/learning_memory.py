@@ -13,8 +13,6 @@ from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestMemory
 
-__all__ = ["LearningMemory", "RerunRequest", "relaid"]
-
 Array = NDArray[np.float64]
 
 

@@ -18,8 +18,6 @@ from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import CLIP, LONGEST_GAP
 from navfilter.timeseries.roots import resolved_radius
 
-__all__ = ["Likelihood", "Point", "maximise"]
-
 Array = NDArray[np.float64]
 
 #: Where innovations are not wanted.

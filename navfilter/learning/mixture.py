@@ -32,8 +32,6 @@ from navfilter.models.error_models import (
 from navfilter.models.learned_arma import register_block
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["described_share", "mixed"]
-
 Array = NDArray[np.float64]
 #: Time over which readings are summed up [s] (chosen: a filter between fixes counts on means over a minute; over 20 s,
 #: 5 s and one step learnt models of real dives are further off, by a tenth to a fifth).

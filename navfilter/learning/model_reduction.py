@@ -12,8 +12,6 @@ from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.learned_arma import known_walk
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["hand_over", "plainer"]
-
 Array = NDArray[np.float64]
 
 #: A process that a series holds fewer times than this, by its time constant, may be its bias.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
 
-__all__ = ["nearest", "slow_psd"]
-
 Array = NDArray[np.float64]
 
 #: Shares of the variance that the quicker process is tried with.

@@ -23,7 +23,7 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 from navfilter.models.window_limits import LEAST, LONGEST_GAP
 
-__all__ = ["ChannelSeries", "OpenLoopSeries", "without_spikes"]
+__all__ = ["ChannelSeries"]
 
 Array = NDArray[np.float64]
 #: Another level is one that differs by more than this factor, as a variance [1] (chosen: with 1.5 it changes twice as

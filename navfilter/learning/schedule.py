@@ -34,8 +34,6 @@ from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import as_described, learning_part
 
-__all__ = ["UNHEARD", "LearningSchedule", "doubtful_ticks"]
-
 Array = NDArray[np.float64]
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
 _NO_RING, _NO_CURSOR, _DEAF, _NOTHING = (

@@ -13,8 +13,6 @@ from navfilter.learning.learner_memory import LearnerMemory
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.navigation_drift import Drift
 
-__all__ = ["ChannelSeries", "Hop", "OpenLoopMemory"]
-
 Array = NDArray[np.float64]
 
 

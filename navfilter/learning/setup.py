@@ -12,8 +12,6 @@ from navfilter.models.learned_arma import LONGEST_SPAN_S, LearnedArma, learned_p
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.sensors import Sensor
 
-__all__ = ["believed", "learner_of", "span_s", "with_learnt"]
-
 
 def with_learnt(model: ErrorModel, found: LearnedModel | None, frozen: bool = False) -> ErrorModel:
     """An error model with what was found in force, and with nothing more to be learnt where it is `frozen`."""

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.slow_prior import SlowNode, SlowPrior
 
-__all__ = ["Line", "Place", "SlowPosterior", "log_share", "slow_posterior"]
-
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
 Place = tuple[int, int]

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from navfilter.models.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, Sum, block_level
 from navfilter.models.navigation_drift import Drift
 
-__all__ = ["SlowNode", "SlowPrior", "described_blocks", "drift_chain", "slow_belief", "slow_prior"]
-
 Array = NDArray[np.float64]
 
 #: The time constant of a data sheet is that of the whole error; its slow part is about twice as slow.

@@ -22,8 +22,6 @@ from navfilter.models.navigation_drift import Drift
 from navfilter.models.sensors import ZeroVelocity
 from navfilter.models.window_limits import LONGEST_GAP
 
-__all__ = ["RestMemory", "RestRecorder", "estimates"]
-
 Array = NDArray[np.float64]
 
 #: A quiet axis scatters less than so many of its believed standard deviations, and its mean stays within as many.

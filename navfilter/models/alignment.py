@@ -21,8 +21,6 @@ from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler, wrap
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["align"]
-
 Array = NDArray[np.float64]
 #: Of a vehicle that does not say how fast it can be [m/s].
 FASTEST_M_S = 100.0

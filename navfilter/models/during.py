@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from navfilter.models.sensors import Sensor
 
-__all__ = ["During", "alias", "instrument", "is_alias", "same_sensor", "shared"]
-
 _ALIAS = re.compile(r".+@\d+")
 
 

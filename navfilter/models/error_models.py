@@ -25,22 +25,6 @@ from navfilter.timeseries.continuous import gauss_markov
 from navfilter.timeseries.roots import is_stable
 from navfilter.timeseries.stationary import stationary_covariance
 
-__all__ = [
-    "Arma",
-    "Block",
-    "ErrorModel",
-    "GaussMarkov",
-    "Integrated",
-    "RandomWalk",
-    "Sum",
-    "White",
-    "block_level",
-    "checked_number",
-    "joined_block",
-    "per_axis",
-    "sum_of",
-]
-
 Array = NDArray[np.float64]
 
 #: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42,

@@ -11,23 +11,6 @@ from numpy.typing import NDArray
 
 from navfilter.models.error_models import ErrorModel, RandomWalk, per_axis, sum_of
 
-__all__ = [
-    "SCALE",
-    "FaultBias",
-    "FaultCurrent",
-    "FaultDeviation",
-    "FaultScale",
-    "currents",
-    "described",
-    "deviations",
-    "has_offset",
-    "offset_states",
-    "proportions",
-    "wanders",
-    "with_offsets",
-    "with_the_same_offsets",
-]
-
 Errors = ErrorModel | tuple[ErrorModel, ...]
 #: Iron turns a compass by no more than this [rad]: one that is off by more is mounted, or read, the wrong way round.
 DEVIATES = math.radians(60.0)

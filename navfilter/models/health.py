@@ -12,9 +12,6 @@ from navfilter.foundation.display import Value, span
 
 Array = NDArray[np.float64]
 
-__all__ = ["CALM", "Bounds", "Health", "LaneHealth", "LaneHistory", "LearningHealth", "SensorHealth", "Trust"]
-
-
 #: Conditions of sensors that are used.
 CALM = ("good", "waiting", "partial")
 

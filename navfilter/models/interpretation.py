@@ -18,8 +18,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
 
-__all__ = ["Component", "Reading", "number", "read_model", "stationary_parts"]
-
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 

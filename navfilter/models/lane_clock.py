@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from navfilter.models.start import Start
 from navfilter.models.vehicle import LEVEL_PERIOD_S
 
-__all__ = ["UPRIGHT", "coasting_times", "edge_after", "level_times"]
-
 Array = NDArray[np.float64]
 #: Lanes that are doubted begin anew at multiples of so many seconds of mission time: a replay runs them so far apart.
 ANEW_S = 30.0

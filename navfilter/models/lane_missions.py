@@ -11,8 +11,6 @@ from navfilter.models.mission import Mission, Stream
 from navfilter.models.start import Start
 from navfilter.models.vehicle import DEAD_RECKONING, LEVEL, Vehicle
 
-__all__ = ["lane_mission", "last_unit", "of_one_unit"]
-
 
 def lane_mission(vehicle: Vehicle, mission: Mission, name: str, start: Start | None = None) -> Mission:
     """A mission as one lane reads it: its unit as "imu"; without a unit, a clock, and that the vehicle is level.

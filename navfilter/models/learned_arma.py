@@ -27,18 +27,6 @@ from navfilter.models.window_limits import least_window
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.stationary import stationary_covariance
 
-__all__ = [
-    "LearnedArma",
-    "as_described",
-    "known_walk",
-    "known_white",
-    "learned_part",
-    "learning_part",
-    "register_labels",
-    "resolve_prior",
-    "with_learned",
-]
-
 Array = NDArray[np.float64]
 
 #: Orders (p, q) of the fast part tried by default: white, Gauss-Markov, both, up to two oscillations with white noise.

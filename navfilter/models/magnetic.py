@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import numbers
 
-__all__ = ["BLACKOUT_NT", "CAUTION_NT", "North", "believable", "calibrate_magnetometer", "declination", "north"]
-
 Array = NDArray[np.float64]
 MODEL_YEARS = (2010, 2015, 2020, 2025)
 #: What the declination of a model errs by is the root of the sum of the squares of an angle [deg] and of another one

@@ -9,8 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FOUND_S", "Drift", "DriftSource"]
-
 Array = NDArray[np.float64]
 #: Time in which a filter finds a wrong force [s]: before a drift begins anew, so much of a series is worth nothing.
 FOUND_S = 10.0

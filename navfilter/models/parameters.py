@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, SupportsFloat
 
-__all__ = ["Calibrated", "Parameter", "check_calibrated", "constant_parameters", "hidden_states", "with_calibrated"]
-
 
 class Parameter(NamedTuple):
     """A state of a sensor or drive beside its error model.

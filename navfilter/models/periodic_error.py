@@ -9,8 +9,6 @@ import numpy as np
 
 from navfilter.models.error_models import Block, ErrorModel, checked_number
 
-__all__ = ["Cycle"]
-
 
 @dataclass(frozen=True)
 class Cycle(ErrorModel):

@@ -11,8 +11,6 @@ from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White, bl
 from navfilter.models.learned_arma import LONGEST_SPAN_S, QUICKER, learned_part, with_learned
 from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["Parts", "larger", "parts_of", "scaled"]
-
 #: What lasts as long as this is slow [s]: the limit that a learner with a full window has.
 SLOW_S = LONGEST_SPAN_S / QUICKER
 #: The fields of error models that say how large they are, or are models that do.

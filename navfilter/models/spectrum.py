@@ -8,8 +8,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spectrum", "log_spread"]
-
 Array = NDArray[np.float64]
 #: A logarithm that is known no better than this is not known: at a notch first order says anything.
 LARGEST_SPREAD = 10.0

@@ -13,8 +13,6 @@ from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import strapdown
 from navfilter.models.state import NavState, matrix_from_euler
 
-__all__ = ["Start"]
-
 
 def _known(value: object) -> bool:
     return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)

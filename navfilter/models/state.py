@@ -13,8 +13,6 @@ from navfilter.foundation.display import Value, few
 from navfilter.kernels import strapdown
 from navfilter.models.health import Bounds, Health, Trust
 
-__all__ = ["NavState", "Pose", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
-
 Array = NDArray[np.float64]
 
 

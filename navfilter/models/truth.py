@@ -19,8 +19,6 @@ SimulatedReading = tuple[Array, tuple[str, ...]]
 SEMI_MAJOR_AXIS_M = 6378137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3
 
-__all__ = []
-
 
 @dataclass(frozen=True)
 class Kinematics:

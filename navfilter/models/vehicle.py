@@ -19,8 +19,6 @@ from navfilter.models.mechanisation import DeadReckoningLane, Imu, Mechanisation
 from navfilter.models.sensors import Attitude, Sensor
 from navfilter.models.start import Start
 
-__all__ = ["Vehicle"]
-
 Array = NDArray[np.float64]
 RESERVED = ("imu", "gyro", "accel", "attitude", "velocity", "truth")
 #: Name of the lane without an inertial unit, and of the sensor that only this lane has.

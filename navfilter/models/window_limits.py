@@ -2,8 +2,6 @@
 reason.
 """
 
-__all__ = ["CLIP", "LEAST", "LONGEST_GAP", "MOST_DRIFT", "PER_PARAMETER", "WILDEST", "least_window"]
-
 #: Known samples below which nothing is learnt (by choice: of fewer the prior says more than they do).
 LEAST = 100
 #: Known samples for each parameter of an order, below which it is not tried (by experience).

@@ -26,8 +26,6 @@ from navfilter.navigation.runner import Rerun
 if TYPE_CHECKING:
     from navfilter.navigation.run import Run
 
-__all__ = ["EarlyRerun"]
-
 Array = NDArray[np.float64]
 
 

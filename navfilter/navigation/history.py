@@ -16,8 +16,6 @@ from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import joined
 from navfilter.foundation.state_values import copied
 
-__all__ = ["History", "Restorable"]
-
 Array = NDArray[np.float64]
 
 

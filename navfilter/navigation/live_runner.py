@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from navfilter.learning.input_buffer import InputBuffer
     from navfilter.navigation.run import Run
 
-__all__ = ["ImuFastPath", "MeasurementFastPath", "prompt_sample", "prompts"]
-
 Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
 _NO_ROWS = np.zeros((1, 1))

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MeasurementSequence"]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 

@@ -12,8 +12,6 @@ from navfilter.filter.filter_memory import FilterMemory
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.learning_memory import LearningMemory
 
-__all__ = ["LaneMemory", "LanesMemory", "NavigatorMemory", "check_watches"]
-
 
 @dataclass
 class NavigatorMemory:

@@ -37,7 +37,7 @@ from navfilter.navigation.memory import NavigatorMemory, check_watches
 from navfilter.navigation.status import NavigatorStatus, health_of, state_of
 from navfilter.navigation.waiting import MeasurementQueue
 
-__all__ = ["Navigator", "Outcome"]
+__all__ = ["Outcome"]
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,6 @@ from navfilter.models.mission import Mission, Stream
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.measurements import MeasurementSequence
 
-__all__ = ["drive_samples", "readings_of"]
-
 Array = NDArray[np.float64]
 #: Readings that are farther from the drive than this are of another clock [s]: a dive may be without any for long.
 DAY_S = 86400.0

@@ -18,8 +18,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.history import History
 from navfilter.navigation.waiting import MeasurementQueue
 
-__all__ = ["Run"]
-
 Array = NDArray[np.float64]
 
 

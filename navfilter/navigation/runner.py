@@ -24,8 +24,6 @@ from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, T
 from navfilter.navigation.measurements import MeasurementSequence
 from navfilter.navigation.run import Run
 
-__all__ = ["BatchRunner", "Rerun"]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Output = tuple[Array, Array, Array, Ints, Array]

@@ -34,8 +34,6 @@ from navfilter.models.error_models import ErrorModel
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["SnapshotContent", "content", "fingerprint", "read", "write"]
-
 MAGIC = b"navfilter snapshot\n"
 FORMAT = 22
 #: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.

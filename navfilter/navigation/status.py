@@ -25,8 +25,6 @@ from navfilter.models.health import CALM, Bounds, Health, LearningHealth, Sensor
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.state import NavState
 
-__all__ = ["NavigatorStatus", "health_of", "state_of"]
-
 Array = NDArray[np.float64]
 
 

@@ -18,8 +18,6 @@ from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.track_bounds import bounds_along
 from navfilter.track.track import Track
 
-__all__ = ["assembled", "bar", "forward_track", "gathered", "smoothed_track"]
-
 Array = NDArray[np.float64]
 #: So many rows are corrected at a time: what is needed for that on the way is to be small beside a track.
 PIECE = 8192

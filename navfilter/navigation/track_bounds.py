@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from navfilter.models.sensors import Sensor
     from navfilter.track.track import Track
 
-__all__ = ["bounds_along"]
-
 Array = NDArray[np.float64]
 
 

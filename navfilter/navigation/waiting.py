@@ -7,8 +7,6 @@ from bisect import insort
 
 from navfilter.filter.events import Measurement
 
-__all__ = ["MeasurementQueue"]
-
 
 class MeasurementQueue:
     """A short queue, in the order of the times at which its readings are taken.

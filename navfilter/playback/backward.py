@@ -22,8 +22,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = ["Apart", "apart", "backward", "mirrored"]
-
 Array = NDArray[np.float64]
 
 #: What becomes of the columns of a stream: a factor, or a function.

@@ -21,8 +21,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-__all__ = ["Drift", "Score", "Withheld", "drift", "score", "withhold"]
-
 #: So many of the fixes withheld are looked at, evenly in time [1]: the fewer, the longer the drift between them, and
 #: the less the errors of the fixes count beside it.
 LOOKS = 12

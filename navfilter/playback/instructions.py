@@ -14,8 +14,6 @@ from navfilter.models.scaled_errors import larger
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["instructed"]
-
 
 def instructed(vehicle: Vehicle, mission: Mission) -> tuple[Vehicle, Mission]:
     """Vehicle and mission with what `Mission.during` says put into them.

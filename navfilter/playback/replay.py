@@ -31,7 +31,7 @@ from navfilter.navigation.track_assembly import bar, forward_track, smoothed_tra
 from navfilter.playback.instructions import instructed
 from navfilter.track.track import Track
 
-__all__ = ["drive_samples", "identified", "learns", "replay", "replay_heard", "residual_series"]
+__all__ = ["drive_samples"]
 
 Array = NDArray[np.float64]
 _Path = str | os.PathLike[str]

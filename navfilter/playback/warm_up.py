@@ -31,8 +31,6 @@ from navfilter.navigation.navigator import Navigator
 from navfilter.playback.replay import learns, replay
 from navfilter.simulation.simulate import tiny_mission, tiny_missions
 
-__all__ = ["help_warming", "warm_up"]
-
 #: Files of kernels that every filter needs.
 FILTER = ("strapdown", "kalman", "measurement")
 

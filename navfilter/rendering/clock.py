@@ -12,8 +12,6 @@ from navfilter.foundation import utc
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["Clock", "clock_of"]
-
 Array = NDArray[np.float64]
 
 

@@ -19,8 +19,6 @@ from navfilter.rendering.clock import Clock
 from navfilter.rendering.panels import Band, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.rendering.thinning import broken, envelope, extremes
 
-__all__ = ["band", "colour", "draw", "line", "no_formula", "style", "svg", "time_axis"]
-
 Array = NDArray[np.float64]
 
 #: Told apart by people who see few colours, and in grey by their brightness (after Okabe and Ito, 2008).

@@ -14,20 +14,6 @@ from typing import NamedTuple
 
 from navfilter.foundation.quoting import printable
 
-__all__ = [
-    "Scripts",
-    "Section",
-    "escape",
-    "figure_html",
-    "heading_html",
-    "image_html",
-    "list_html",
-    "page",
-    "resource",
-    "table_html",
-    "table_text",
-]
-
 #: Says, before anything is painted, that scripts run: the page then waits with what they will draw.
 _SCRIPTED = 'document.documentElement.classList.add("scripted");'
 

@@ -11,21 +11,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Band",
-    "Level",
-    "Line",
-    "Mark",
-    "Panel",
-    "Part",
-    "Points",
-    "Stack",
-    "by_label",
-    "extent",
-    "legend_of",
-    "short",
-]
-
 Array = NDArray[np.float64]
 
 

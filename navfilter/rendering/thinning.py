@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["STRETCHES", "broken", "envelope", "extremes", "straightened"]
-
 Array = NDArray[np.float64]
 
 #: A line gets two points, lowest and highest, for each of so many stretches: about one stretch per pixel.

@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-__all__ = ["Chart", "chart_of", "check_tiles"]
-
 #: Pixels of a tile, and so many tiles at most make a chart.
 TILE, MOST_TILES = 256, 24
 #: No tile is larger [pixel], or read from more than this [bytes].

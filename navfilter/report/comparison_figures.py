@@ -18,8 +18,6 @@ from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
 from navfilter.timeseries.diagnostics import acf
 from navfilter.track.track import Track
 
-__all__ = ["correlation_figure", "heading_against_sigma", "position_against_sigma"]
-
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 

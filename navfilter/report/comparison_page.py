@@ -24,8 +24,6 @@ from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import Plan, plan_view
 from navfilter.track.track import Track
 
-__all__ = ["adopted_models", "drawn", "render_comparison", "write_comparison"]
-
 Tracks = Mapping[str, Track]
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 8

@@ -8,8 +8,6 @@ from navfilter.calibration.lights import LEFT, Agreement, Light
 from navfilter.check.units_text import amount, with_sd
 from navfilter.rendering.page import escape
 
-__all__ = ["ABOUT", "AGREEMENT", "agreement_html", "lights_html", "lights_text"]
-
 #: A light as a sign and in words.
 _SIGNS = {"green": ("&#9679;", "told"), "orange": ("&#9650;", "half told"), "red": ("&#9632;", "hardly told")}
 _AGREE = {"green": "agree", "orange": "doubtful", "red": "differ", "": "-"}

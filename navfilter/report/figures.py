@@ -20,24 +20,6 @@ from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Points, S
 from navfilter.rendering.thinning import broken
 from navfilter.track.track import Track
 
-__all__ = [
-    "BACKWARD",
-    "NEES",
-    "NIS",
-    "TRUTH",
-    "attitude_figure",
-    "backward_figure",
-    "capped",
-    "consistency_figure",
-    "depth_figure",
-    "filters",
-    "heading_figure",
-    "innovation_figure",
-    "nis_figure",
-    "position_figure",
-    "separation_figure",
-]
-
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 

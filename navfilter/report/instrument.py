@@ -26,8 +26,6 @@ from navfilter.report.plan_view import Plan, draw_plan
 from navfilter.report.state_figures import drive_residuals, shown_states
 from navfilter.track.track import Track
 
-__all__ = ["Instrument"]
-
 ANY_HEIGHT = 380
 #: What is shown until something else is chosen.
 ANY_FIRST = ("travelled", "rms")

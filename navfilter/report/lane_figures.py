@@ -8,8 +8,6 @@ from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Line, Mark, Panel, Stack, short
 from navfilter.track.track import Track
 
-__all__ = ["CAPTION", "lane_figure", "lane_marks", "lane_rows"]
-
 CAPTION = (
     "Top: the lane in force. Gain: the mean by which a lane foretold each component of the readings of the last minute "
     "better than as an outlier (logarithm of the densities), 8.3 for one that is foretold as surely as its sensor "

@@ -12,8 +12,6 @@ from navfilter.evaluation.learned_text import LearnedText
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Line, Panel, Part, Points, Stack, short
 
-__all__ = ["SpectrumBand", "adopted_figure", "learnt_band", "learnt_figures", "spectrum_figure"]
-
 Array = NDArray[np.float64]
 
 #: Frequencies of a spectrum that nobody has learnt, from one period in so many samples up.

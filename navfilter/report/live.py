@@ -32,8 +32,6 @@ from navfilter.rendering.drawing import LEVEL
 from navfilter.rendering.panels import Band, Level, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.rendering.thinning import broken, envelope, extremes, straightened
 
-__all__ = ["Key", "Live", "item_of", "live_stack", "plain", "toolbox"]
-
 Array = NDArray[np.float64]
 
 #: A line gets two points for each of so many stretches before what is straight is left out.

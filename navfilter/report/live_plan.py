@@ -29,8 +29,6 @@ from navfilter.report.figures import TRUTH
 from navfilter.report.live import Key, Live, item_of, plain, plain_look, toolbox
 from navfilter.report.plan_view import CHART_ALPHA, Plan, PlanRun
 
-__all__ = ["COLOURINGS", "live_plan"]
-
 #: By what the track may be coloured: name of the glyphs, and what the page calls it.
 COLOURINGS = {"run": "run", "sd": "predicted rms", "time": "time"}
 HEIGHT = 560

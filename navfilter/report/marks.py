@@ -11,8 +11,6 @@ from navfilter.rendering.panels import Mark, short
 from navfilter.report.lane_figures import lane_marks
 from navfilter.track.track import Track
 
-__all__ = ["adoptions", "marks", "outages"]
-
 SURFACING, ADOPTION = "#006d2c", "#d94801"
 #: Of the outages of one sensor after the other.
 OUTAGES = ("#8c6bb1", "#7fa8c9", "#c9a227", "#b0647a")

@@ -15,8 +15,6 @@ from navfilter.rendering.drawing import colour, draw, style, svg
 from navfilter.rendering.page import Section, figure_html, list_html, page, table_html
 from navfilter.rendering.panels import Band, Line, Panel, Part, Stack, short
 
-__all__ = ["spectra_figure", "write_over_dives_page"]
-
 #: Of a line that one dive draws.
 GREY, THIN = "#999999", 0.6
 

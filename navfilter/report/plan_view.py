@@ -27,8 +27,6 @@ from navfilter.report.chart import Chart, chart_of
 from navfilter.report.figures import TRUTH, capped
 from navfilter.track.track import Track
 
-__all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view"]
-
 Array = NDArray[np.float64]
 
 #: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.

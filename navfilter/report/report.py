@@ -37,8 +37,6 @@ from navfilter.report.sensor_sections import sensor_sections
 from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.track.track import Track
 
-__all__ = ["render_report", "write_report"]
-
 Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 

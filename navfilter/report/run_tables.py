@@ -14,8 +14,6 @@ from navfilter.models.mission import Mission
 from navfilter.rendering.page import table_text
 from navfilter.track.track import Track
 
-__all__ = ["HEADLINES", "headline_rows", "headline_table", "sensor_rows", "sensor_table"]
-
 Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 

@@ -14,8 +14,6 @@ from navfilter.report.instrument import Instrument
 from navfilter.report.marks import adoptions, outages
 from navfilter.track.track import Track
 
-__all__ = ["sensor_sections"]
-
 Tracks = Mapping[str, Track]
 
 #: A figure with more panels than this does not fit on a printed page.

@@ -18,8 +18,6 @@ from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack, short
 from navfilter.track.track import Track
 
-__all__ = ["STEPS", "ShownState", "drive_residuals", "shown_states", "states_figure", "steps_figure"]
-
 Array = NDArray[np.float64]
 #: Of residuals of the drive, under their figure.
 STEPS = (

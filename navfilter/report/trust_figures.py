@@ -13,8 +13,6 @@ from navfilter.rendering.panels import Line, Mark, Panel, Part, Stack, short
 from navfilter.track.track import Track
 from navfilter.track.trust import DegradedInterval, spells
 
-__all__ = ["CAPTION", "spell_rows", "trust_figure"]
-
 Array = NDArray[np.float64]
 
 #: Told apart in grey by their brightness.

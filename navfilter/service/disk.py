@@ -23,8 +23,6 @@ from typing import Any, BinaryIO
 from navfilter.navigation import snapshot
 from navfilter.service.protocol import event_line, to_line
 
-__all__ = ["Disk", "StateFile", "new_file"]
-
 
 def new_file(path: Path) -> BinaryIO:
     """A file to write anew: neither a link that lies there is followed, nor a pipe waited for."""

@@ -16,8 +16,6 @@ from navfilter.service.protocol import Lines
 from navfilter.service.sources import BLOCK, keep_alive
 from navfilter.service.waterlinked import WaterLinked
 
-__all__ = ["Instrument"]
-
 
 class Instrument:
     """One instrument.

@@ -28,8 +28,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
 
-__all__ = ["FILTER", "LIST", "compile_kernels", "discard_damaged", "make_usable", "seal", "warm"]
-
 #: File of the checksums, in the folder of the kernels.
 LIST = "navfilter-kernels.json"
 #: A cache needs about so much [bytes]; on a fuller disk numba would fail in the middle of a compilation.

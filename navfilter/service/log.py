@@ -28,8 +28,6 @@ from navfilter.navigation.snapshot import fingerprint
 from navfilter.service.protocol import event_line
 from navfilter.service.session import Options
 
-__all__ = ["LOG_FILE", "is_own_file", "log_items", "logged_options", "prepare_log", "remade_log", "run_note"]
-
 LOG_FILE = "readings.jsonl"
 
 

@@ -25,8 +25,6 @@ from navfilter.service.setup import Service
 from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
 
-__all__ = ["ORDERED", "UNASKED", "Tally", "replay_log", "run"]
-
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1
 _STDOUT = 1

@@ -16,8 +16,6 @@ from collections.abc import Callable
 
 from navfilter.service.protocol import event_line
 
-__all__ = ["Outlet"]
-
 #: After these nobody will ever read; everything else (a full disk, a terminal that hung up) may be well again.
 _GONE = {errno.EPIPE, errno.EBADF, errno.ECONNRESET, errno.ESHUTDOWN, errno.ENOTCONN}
 

@@ -18,8 +18,6 @@ import numpy as np
 
 from navfilter.io.json_lines import Reading
 
-__all__ = ["Pairing"]
-
 
 class Pairing:
     """Pairs the two streams of `DeadReckoning`.

@@ -18,8 +18,6 @@ from navfilter.io.json_lines import LONGEST_LINE
 from navfilter.models.health import Health
 from navfilter.models.state import NavState
 
-__all__ = ["Lines", "event_line", "integrity_fields", "state_fields", "to_line"]
-
 
 def to_line(fields: Mapping[str, Any]) -> bytes:
     """One object as one line; what is not finite becomes null."""

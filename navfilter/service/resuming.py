@@ -17,8 +17,6 @@ from navfilter.service.disk import StateFile
 from navfilter.service.log import logged_options
 from navfilter.service.session import Options, Session
 
-__all__ = ["POLICIES", "Past", "earlier_run"]
-
 POLICIES = ("best", "strict")
 
 

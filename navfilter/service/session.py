@@ -30,8 +30,6 @@ from navfilter.navigation.navigator import Navigator
 from navfilter.service.pairing import Pairing
 from navfilter.service.protocol import event_line, integrity_fields, state_fields, to_line
 
-__all__ = ["Options", "Session"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Options:

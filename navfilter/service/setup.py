@@ -8,8 +8,6 @@ from pathlib import Path
 
 from navfilter.service.waterlinked import WaterLinked
 
-__all__ = ["Service"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Service:

@@ -14,8 +14,6 @@ from types import FrameType
 from typing import Any
 from urllib.parse import urlsplit
 
-__all__ = ["Client", "FileSource", "NoSource", "StopSignal", "Stopped", "TcpSource", "keep_alive", "listen_address"]
-
 BLOCK = 65536
 
 

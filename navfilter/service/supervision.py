@@ -14,8 +14,6 @@ from typing import Any
 from navfilter.service.disk import new_file
 from navfilter.service.protocol import to_line
 
-__all__ = ["HealthFile", "Notifier", "Supervision"]
-
 
 class Supervision:
     """Tells those that watch a run how it is.

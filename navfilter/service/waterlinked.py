@@ -12,8 +12,6 @@ from navfilter.io.logs.waterlinked import number, report_in, valid_s
 from navfilter.models.vehicle import Vehicle
 from navfilter.service.protocol import to_line
 
-__all__ = ["WaterLinked", "waterlinked"]
-
 PORT = 16171
 #: Report -> its columns, and their factor to SI.
 _COLUMNS = {

@@ -20,7 +20,7 @@ from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import StartErrors, simulate
 from navfilter.simulation.studies import BELIEF, USUAL, Study
 
-__all__ = ["GYROS", "MOTIONS", "STUDIES", "Staged", "Study", "stage"]
+__all__ = ["Study"]
 
 MOTIONS = ("lawnmower", "transit")
 GYROS = ("tactical", "mems")

@@ -10,8 +10,6 @@ from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.studies import Study, always, believing, compass, swing, with_sensor
 
-__all__ = ["HARD"]
-
 _DEG = math.pi / 180.0
 
 

@@ -20,8 +20,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Models
 from navfilter.simulation.scenarios import COMPASS
 
-__all__ = ["BELIEF", "USUAL", "Study", "always", "believing", "compass", "rated", "scaled", "swing"]
-
 _DEG = math.pi / 180.0
 _RATE_HZ = 8.0
 #: What the operator says of the compass, whatever it really does.

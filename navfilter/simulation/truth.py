@@ -9,8 +9,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.scenarios import SCENARIOS
 
-__all__ = ["true_vehicle"]
-
 
 def true_vehicle(name: str, duration_s: float | None = None) -> Vehicle | None:
     """The vehicle of a scenario as it really is.

@@ -8,8 +8,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["gauss_markov"]
-
 Array = NDArray[np.float64]
 
 #: Time constants in a period, beyond which it is no longer: nothing is left of the process then.

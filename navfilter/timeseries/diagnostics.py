@@ -14,8 +14,6 @@ from navfilter.foundation.arguments import numbers
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.initial_values import tidy_series
 
-__all__ = ["WT_WHITE", "Whiteness", "acf", "allan_deviation", "allan_edf", "cross_correlation", "pacf", "whiteness"]
-
 Array = NDArray[np.float64]
 
 # Truly white noise exceeds its limits at a fraction int_0^1 2 Phi(-1.96/sqrt(1-x)) dx of all N lags, because the

@@ -15,8 +15,6 @@ from navfilter.timeseries.order_criterion import CRITERIA, criterion
 from navfilter.timeseries.regression import PART, Problem
 from navfilter.timeseries.roots import resolved_radius
 
-__all__ = ["ArmaFit", "fit_arma"]
-
 Array = NDArray[np.float64]
 
 

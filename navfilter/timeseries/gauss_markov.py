@@ -22,8 +22,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.regression import Problem
 from navfilter.timeseries.spectral import spectral_factor
 
-__all__ = ["GaussMarkovFit", "correlation_product", "fit_gauss_markov", "gauss_markov_arma", "gauss_markov_correlation"]
-
 Array = NDArray[np.float64]
 
 

@@ -12,8 +12,6 @@ from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.roots import pull_inside
 
-__all__ = ["burg", "hannan_rissanen", "yule_walker"]
-
 Array = NDArray[np.float64]
 
 

@@ -19,8 +19,6 @@ from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.roots import is_stable, roots_of
 from navfilter.timeseries.stationary import observer, settled
 
-__all__ = ["ArmaModel", "forecast_arma", "log_s0_sd", "simulate_arma"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from navfilter.timeseries.likelihood import Objective, Point, minimise
 from navfilter.timeseries.order_criterion import Choice
 from navfilter.timeseries.regression import Problem
 
-__all__ = ["OrderTable", "select_order"]
-
 Array = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 
 from navfilter.timeseries.roots import cancelling_pairs
 
-__all__ = ["CRITERIA", "Challenge", "Choice", "criterion"]
-
 CRITERIA = ("aic", "aicc", "bic", "hq")
 
 

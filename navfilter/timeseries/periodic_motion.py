@@ -11,8 +11,6 @@ from scipy.signal import welch
 
 from navfilter.foundation.arguments import numbers
 
-__all__ = ["find_motion_band", "subtract_motion"]
-
 Array = NDArray[np.float64]
 
 

@@ -13,8 +13,6 @@ from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.roots import slowest_real
 from navfilter.timeseries.spectral import spectral_factor
 
-__all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "split_bias"]
-
 Array = NDArray[np.float64]
 
 

@@ -12,19 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.kernels import arma_fit as kernels
 
-__all__ = [
-    "cancelling_pairs",
-    "cap_poles",
-    "has_unit_root",
-    "is_stable",
-    "pull_inside",
-    "resolved_radius",
-    "root_sd",
-    "roots_of",
-    "slowest_real",
-    "time_constant",
-]
-
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["spectral_factor"]
-
 Array = NDArray[np.float64]
 
 #: Largest misfit of a factor, relative to lag 0: beyond it there is none.

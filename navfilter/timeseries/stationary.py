@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
-__all__ = ["observer", "settled", "stationary_covariance"]
-
 Array = NDArray[np.float64]
 
 

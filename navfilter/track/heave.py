@@ -8,8 +8,6 @@ from scipy.signal import butter, sosfiltfilt
 
 from navfilter.track.track import Track
 
-__all__ = ["heave"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from navfilter.foundation import utc
 
-__all__ = ["TrackFigure", "track_figure"]
-
 Array = NDArray[np.float64]
 Times = NDArray[Any]  # float64, or datetime64
 COLOUR, END_COLOUR = "#0072b2", "#d55e00"

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.timeseries.model import ArmaModel
 
-__all__ = ["ERRORS", "Track", "TrackErrors"]
-
 Array = NDArray[np.float64]
 _TRUTH = "That of a mission is mission.truth."
 #: Fields with one row per time.

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from navfilter.models.sensors import Sensor
     from navfilter.track.track import Track
 
-__all__ = ["DegradedInterval", "integrity_figures", "spells"]
-
 Mask = NDArray[np.bool_]
 #: Spells of one reason that are no farther apart than this are one [s].
 TOGETHER_S = 2.0

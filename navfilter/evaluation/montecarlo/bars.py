@@ -15,8 +15,6 @@ from navfilter.evaluation.montecarlo.slot_tables import SlotRow, named
 from navfilter.evaluation.montecarlo.slots import SURPRISED_S
 from navfilter.rendering.page import table_text
 
-__all__ = ["JUDGED", "Bar", "bar_table", "bars"]
-
 #: The model that is judged.
 JUDGED = "arma"
 #: Before this time [s] a model has little to go by; after this one [s] it has seen enough.

@@ -29,8 +29,6 @@ from navfilter.playback.replay import replay, replay_heard
 from navfilter.simulation.campaigns import Staged, stage
 from navfilter.track.track import Track
 
-__all__ = ["Campaign", "Results", "collect", "program", "run_campaign", "run_seed"]
-
 
 @dataclass(frozen=True)
 class Campaign:

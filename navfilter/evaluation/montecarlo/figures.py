@@ -23,8 +23,6 @@ from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import WIDTH_IN, colour, style, time_axis
 
-__all__ = ["end_error_figure", "envelope_figure", "nees_figure", "write_figures"]
-
 Array = NDArray[np.float64]
 
 

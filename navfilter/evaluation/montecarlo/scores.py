@@ -13,8 +13,6 @@ from navfilter.models.mission import Mission
 from navfilter.timeseries.diagnostics import whiteness
 from navfilter.track.track import Track, TrackErrors
 
-__all__ = ["CURVES", "SCORES", "TRACKS", "curve_times", "run_record"]
-
 Array = NDArray[np.float64]
 
 TRACKS = ("forward", "smoothed")

@@ -16,8 +16,6 @@ from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
 from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval
 from navfilter.rendering.page import table_text
 
-__all__ = ["SlotRow", "named", "slot_rows", "slot_table"]
-
 Array = NDArray[np.float64]
 
 #: By reference: what is divided by its own.

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from navfilter.track.track import Track, TrackErrors
 
-__all__ = ["RMS", "SLOT_SCORES", "Slots", "slot_figures", "slots"]
-
 Array = NDArray[np.float64]
 #: Begin and end of each [s].
 Slots = tuple[tuple[float, float], ...]

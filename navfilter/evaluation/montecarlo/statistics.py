@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-__all__ = ["Estimate", "chi_square_band", "mean_interval", "ratio_interval", "rms_interval", "share_interval"]
-
 Array = NDArray[np.float64]
 #: Value, lower end, upper end.
 Estimate = tuple[float, float, float]

@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Store", "fingerprint", "write_whole"]
-
 Record = dict[str, NDArray[Any]]
 
 

@@ -31,8 +31,6 @@ from navfilter.evaluation.montecarlo.statistics import (
 from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.rendering.page import table_text
 
-__all__ = ["REFERENCES", "Row", "ratios", "rows", "table", "write_tables"]
-
 Array = NDArray[np.float64]
 
 #: Models that the others are divided by.

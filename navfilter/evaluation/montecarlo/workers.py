@@ -14,8 +14,6 @@ from typing import Any
 from navfilter.evaluation.montecarlo.campaign import program
 from navfilter.playback.warm_up import available_cores
 
-__all__ = ["cluster", "process_pool"]
-
 #: Threads inside a worker would only get into each other's way, and could change the last digit.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from navfilter.foundation.state_values import misfit
 
-__all__ = ["Bursts", "BurstsMemory"]
-
 Array = NDArray[np.float64]
 
 

@@ -37,8 +37,6 @@ from navfilter.faults.clocks.sensor_clock import Ahead
 from navfilter.filter.imu_intake import ImuIntake
 from navfilter.foundation.state_values import misfit
 
-__all__ = ["DriveClockMemory", "ImuClockMonitor", "ReceivedMeasurement"]
-
 Array = NDArray[np.float64]
 
 

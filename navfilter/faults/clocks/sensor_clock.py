@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 from navfilter.faults import settings
 
-__all__ = ["Ahead", "in_time", "set_by"]
-
 #: By how much is not told to more digits than this [1]; a reading that is carried on to makes the others late.
 DIGITS = 2
 

@@ -51,8 +51,6 @@ from navfilter.kernels.bias_drift import (
 )
 from navfilter.models.fault_bias import with_offsets
 
-__all__ = ["check_biases", "fresh", "gyros", "looking", "shifted"]
-
 Array = NDArray[np.float64]
 #: The estimates are looked at so often [s], and held against those of so many looks before [1].
 EVERY_S, LOOKS = batch.LOOK_EVERY_S, 16

@@ -26,8 +26,6 @@ from navfilter.kernels import strapdown
 from navfilter.kernels.bias_glr import AXES, propagate_jumps, update_jumps
 from navfilter.models.mechanisation import Mechanisation
 
-__all__ = ["BiasJumpGlr"]
-
 Array = NDArray[np.float64]
 
 

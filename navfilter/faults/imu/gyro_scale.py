@@ -24,8 +24,6 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
 
-__all__ = ["GyroScaleTest", "agrees", "check_readmission", "refused", "wrong_since"]
-
 Array = NDArray[np.float64]
 
 

@@ -24,8 +24,6 @@ from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.mechanisation import Mechanisation
 
-__all__ = ["CONDITIONS", "COUNTED", "USED", "ImuMonitor"]
-
 Array = NDArray[np.float64]
 #: In words, by the kernel's codes.
 CONDITIONS = (

@@ -29,8 +29,6 @@ from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.models.state import rotation_matrix
 
-__all__ = ["after_fault", "attend", "set_anew", "tilted"]
-
 Array = NDArray[np.float64]
 
 

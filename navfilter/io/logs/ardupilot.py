@@ -24,8 +24,6 @@ from navfilter.io.logs import dataflash
 from navfilter.io.logs.topic_names import Wanted, without_instance
 from navfilter.models.mission import MissionError
 
-__all__ = ["records"]
-
 Array = npt.NDArray[np.float64]
 
 #: Units as these logs write them -> as a mission.toml does.

@@ -17,8 +17,6 @@ from navfilter.io.table import Table, listing
 from navfilter.io.trust import Allowance
 from navfilter.models.mission import MissionError
 
-__all__ = ["Shelf", "files_of"]
-
 
 class Shelf:
     """The logs of one mission.

@@ -24,8 +24,6 @@ from navfilter.io.logs.progress import byte_bar
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 
-__all__ = ["records"]
-
 Array = npt.NDArray[np.float64]
 Places = dict[int, list[int]]
 

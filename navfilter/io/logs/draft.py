@@ -28,8 +28,6 @@ from navfilter.models.sensors import Heading, Position
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 
-__all__ = ["Draft", "draft", "is_table", "read_inertial", "survey_of"]
-
 GUESS = "# GUESSED: "
 #: An assumed place beside latitude and longitude zero, by less than a hair [rad].
 NOWHERE_RAD = 1e-12

@@ -13,8 +13,6 @@ from navfilter.io.logs.known_topics import READINGS, Use, uses_of
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.models.mission import MissionError
 
-__all__ = ["Drafted", "chosen_streams", "inertial", "still"]
-
 #: A slower inertial unit hardly carries the state between its samples [Hz]; one slower than the second is none.
 _SLOWEST_IMU_HZ, _NO_IMU_HZ = 20.0, 5.0
 _CORRECTING = (

@@ -9,8 +9,6 @@ import numpy as np
 from navfilter.io.logs.survey import Topic
 from navfilter.models.mission import Mission, Stream
 
-__all__ = ["LIKE", "Like", "usual_kind", "vehicle_text"]
-
 GUESS = "# GUESSED: "
 
 

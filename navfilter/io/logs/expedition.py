@@ -16,8 +16,6 @@ from navfilter.io.logs.lines import lines
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 
-__all__ = ["records"]
-
 TOPIC = "boat"
 #: Days from 1899-12-30 to 1970-01-01.
 _DAYS, _DAY_S = 25569.0, 86400.0

@@ -12,8 +12,6 @@ from types import ModuleType
 from navfilter.io.logs.lines import first_bytes
 from navfilter.models.mission import MissionError
 
-__all__ = ["FORMATS", "Format", "format_of", "log_format"]
-
 
 @dataclass(frozen=True)
 class Format:

@@ -34,8 +34,6 @@ from navfilter.io.units import ALIASES, UNITS, angles, unit
 from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import MissionError
 
-__all__ = ["TABLE", "survey_table"]
-
 Array = npt.NDArray[np.float64]
 
 TABLE = Format("a table", "guessed_columns", (".csv", ".txt", ".dat", ".tsv", ".log", ".asc"))

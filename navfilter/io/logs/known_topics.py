@@ -16,8 +16,6 @@ import numpy.typing as npt
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.table import Table, Where
 
-__all__ = ["READINGS", "Use", "uses_of"]
-
 #: Senders share a topic where they speak at once in no more than this share of cases [1].
 AT_ONCE = 0.1
 #: What a topic may read -> how that is said.

@@ -10,8 +10,6 @@ from navfilter.io.logs.progress import byte_bar
 from navfilter.io.trust import BROKEN, OPENERS, Allowance
 from navfilter.models.mission import MissionError
 
-__all__ = ["first_bytes", "lines"]
-
 #: Read at a time; a longer "line" than the second is no line of text.
 _BLOCK, _LONGEST = 1 << 18, 1 << 16
 

@@ -7,8 +7,6 @@ import functools
 import re
 from collections import Counter
 
-__all__ = ["LoggerClock"]
-
 _DAY_S = 86400.0
 #: Seconds since 1970 of 2001 and 2100: a number in between is a time, in s, ms, us or ns.
 _EPOCHS = (1e9, 4.1e9)

@@ -14,8 +14,6 @@ from typing import Any
 from navfilter.io.logs.lines import lines
 from navfilter.io.logs.topic_names import Wanted
 
-__all__ = ["records"]
-
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""

@@ -28,8 +28,6 @@ from navfilter.io.logs.sentence_times import Carrier, number_of, time_of_day
 from navfilter.io.logs.topic_names import INSTRUMENT, OF_DAY, Wanted
 from navfilter.io.trust import Allowance
 
-__all__ = ["records", "short_name"]
-
 SENTENCE = re.compile(rb"[$!]((P[A-Z]{3}[A-Z0-9]*|[A-Z]{2}[A-Z0-9]{3}),[^*$!]*)(?:\*([0-9A-Fa-f]{2}))?")
 #: Where a sentence has its time of day (hhmmss.s), counted from its name.
 _TIMES = {b"GGA": 1, b"RMC": 1, b"ZDA": 1, b"GNS": 1, b"GLL": 5, b"GST": 1, b"GRS": 1, b"PASHR": 1}

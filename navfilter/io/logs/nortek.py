@@ -21,8 +21,6 @@ from typing import Any
 from navfilter.io.logs.progress import byte_bar
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
-__all__ = ["records"]
-
 _SYNC = 0xA5
 _BURST, _AVERAGE, _BOTTOM_TRACK = 0x15, 0x16, 0x17
 _EPOCH = datetime.datetime(1970, 1, 1)

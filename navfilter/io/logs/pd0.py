@@ -29,8 +29,6 @@ from navfilter.io.logs.pd0_nmea import sentences
 from navfilter.io.logs.progress import byte_bar
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
-__all__ = ["records"]
-
 _IDENTIFIER = b"\x7f\x7f"
 _CHUNK = 1 << 20
 _FIXED, _VARIABLE, _BOTTOM, _NAVIGATION = 0x0000, 0x0080, 0x0600, 0x2000

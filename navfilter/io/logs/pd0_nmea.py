@@ -13,8 +13,6 @@ from typing import NamedTuple
 from navfilter.io.logs.sentence_times import number_of, time_of_day
 from navfilter.io.logs.slocum import degrees_of
 
-__all__ = ["Sentence", "sentences"]
-
 _GENERAL = 0x2022
 _ASCII = (0x2100, 0x2101, 0x2102, 0x2103)
 #: A knot [m/s].

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-__all__ = ["bar", "byte_bar"]
-
 Item = TypeVar("Item")
 #: Reading that is done sooner shows no bar [s].
 _PATIENCE_S = 1.0

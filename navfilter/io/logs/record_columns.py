@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["LOG_TIME", "TopicColumns", "leaves"]
-
 Array = npt.NDArray[np.float64]
 
 #: Longer sequences (images, point clouds, spectra) are no columns.

@@ -32,8 +32,6 @@ from navfilter.io.logs.topic_names import Wanted
 from navfilter.io.trust import Allowance
 from navfilter.models.mission import MissionError
 
-__all__ = ["kinds", "records"]
-
 _REPAIR = {
     ".bag": '"rosbag reindex" mends it',
     ".mcap": '"mcap recover" mends it',

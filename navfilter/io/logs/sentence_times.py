@@ -8,8 +8,6 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["Carrier"]
-
 _DAY_S = 86400.0
 #: 1970-01-01 as `datetime.date.toordinal` counts.
 _EPOCH = 719163

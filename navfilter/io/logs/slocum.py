@@ -19,8 +19,6 @@ from navfilter.io.logs.lines import lines
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 
-__all__ = ["degrees_of", "records"]
-
 TOPIC = "glider"
 _CLOCKS = ("m_present_time", "sci_m_present_time")
 #: Units as the glider writes them -> as a mission.toml does.

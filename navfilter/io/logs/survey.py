@@ -21,8 +21,6 @@ from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 from navfilter.io.trust import UNPACKED_BYTES, Allowance
 from navfilter.models.mission import MissionError
 
-__all__ = ["Survey", "Topic", "survey", "survey_text"]
-
 Array = npt.NDArray[np.float64]
 
 #: Records of each topic that are kept for a look at their values.

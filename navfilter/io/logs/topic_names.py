@@ -7,8 +7,6 @@ from collections.abc import Callable, Collection
 
 from navfilter.io.trust import Allowance
 
-__all__ = ["INSTRUMENT", "OF_DAY", "Wanted", "without_instance"]
-
 #: Midnight of a day that the log does not name; the clock of an instrument, which need not be UTC.
 OF_DAY, INSTRUMENT = "of day", "instrument"
 

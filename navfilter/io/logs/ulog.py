@@ -18,8 +18,6 @@ from pyulog import ULog
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 
-__all__ = ["records"]
-
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, Any, Any]]:
     """See `navfilter.io.logs`."""

@@ -17,8 +17,6 @@ from typing import Any
 from navfilter.io.logs.lines import lines
 from navfilter.io.logs.topic_names import Wanted
 
-__all__ = ["number", "records", "report_in", "valid_s"]
-
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""

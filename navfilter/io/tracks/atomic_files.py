@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-__all__ = ["ROWS", "pieces", "replaced_by", "replacing", "replacing_binary", "replacing_tree"]
-
 #: Rows that are worked on at a time: a long track costs no second one in memory.
 ROWS = 5_000
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.track.track import Track
 
-__all__ = ["FORMATS", "TrackFormat", "is_nowhere", "write_track"]
-
 #: What begins this near to latitude 0, longitude 0 began at a place that nobody gave: 64 m [rad], 1 m [deg].
 _NOWHERE = 1e-5
 

@@ -21,8 +21,6 @@ from navfilter.models.mission import Mission
 from navfilter.models.state import wrap
 from navfilter.track.track import Track
 
-__all__ = ["degrees_east", "write"]
-
 Array = npt.NDArray[np.float64]
 
 #: A line on a map needs no more points than this.

@@ -17,8 +17,6 @@ from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["write"]
-
 Array = NDArray[np.float64]
 
 #: Columns of the points: name (ten characters, as dBase has them), decimals.

@@ -13,8 +13,6 @@ from navfilter.io.tracks.kml import xml_text
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["write"]
-
 _HEAD = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="navfilter" xmlns="http://www.topografix.com/GPX/1/1">

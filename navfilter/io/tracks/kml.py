@@ -20,8 +20,6 @@ from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["write", "xml_text"]
-
 _HEAD = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2">

@@ -8,8 +8,6 @@ import numpy.typing as npt
 from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
 from navfilter.track.track import Track
 
-__all__ = ["ENU", "Origin", "local_enu", "origin_of", "plane_from_body", "plane_from_n"]
-
 Array = npt.NDArray[np.float64]
 Origin = tuple[float, float, float]
 

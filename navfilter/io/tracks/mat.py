@@ -19,8 +19,6 @@ from navfilter.io.tracks.atomic_files import replacing_binary
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["write"]
-
 #: What one variable of the format can hold [bytes].
 _MOST_BYTES = 2**31 - 1
 #: Of `Residuals`.

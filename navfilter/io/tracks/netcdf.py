@@ -20,8 +20,6 @@ from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["write"]
-
 #: Column of track.csv -> standard name of the CF conventions.
 _STANDARD = {
     "latitude_deg": "latitude",

@@ -11,8 +11,6 @@ import pandas as pd
 from navfilter.models.vehicle import Vehicle
 from navfilter.track.track import Track
 
-__all__ = ["read_track"]
-
 _AXES = ("north", "east", "down")
 _WANTED = ("time_s", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "heading_deg")
 

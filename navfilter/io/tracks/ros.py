@@ -40,8 +40,6 @@ from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler
 from navfilter.track.track import Track
 
-__all__ = ["write"]
-
 Array = npt.NDArray[np.float64]
 Stamped = Iterator[tuple[int, int, Any]]
 

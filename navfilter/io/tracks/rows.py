@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from navfilter.kernels import number_text
 
-__all__ = ["LONG", "text_of_rows"]
-
 #: Numbers in a file from which on a kernel writes them: Python takes as long for so many as compiling it takes.
 LONG = 5_000_000
 

@@ -21,8 +21,6 @@ from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
 from navfilter.track.track import Track
 
-__all__ = ["gps_seconds_of_week", "write"]
-
 Array = npt.NDArray[np.float64]
 
 _WEEK_NS = 7 * 86400 * 10**9

@@ -10,8 +10,6 @@ from navfilter.io.tracks.rows import LONG, text_of_rows
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
-__all__ = ["write"]
-
 #: Decimals; 1e-10 degrees are 0.01 mm. Of any other quantity seven significant figures are more than it has.
 _DIGITS = {"time_s": 6, "latitude_deg": 10, "longitude_deg": 10, "height_m": 5, "depth_m": 5}
 _FIGURES = -7

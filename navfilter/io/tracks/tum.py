@@ -17,8 +17,6 @@ from navfilter.io.tracks.local import Origin, local_enu, origin_of, plane_from_b
 from navfilter.models.mission import Mission, Stream
 from navfilter.track.track import Track
 
-__all__ = ["write", "write_truth"]
-
 Array = npt.NDArray[np.float64]
 
 

@@ -12,24 +12,6 @@ from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = [
-    "PROMPT",
-    "READMISSION",
-    "SAMPLE",
-    "SCATTERED",
-    "SMOOTH_RUN",
-    "STRETCH",
-    "address",
-    "at_bend",
-    "at_correction",
-    "at_equation",
-    "at_hold",
-    "at_motion",
-    "at_sight",
-    "at_steps",
-    "named",
-]
-
 _settings: Any = config
 #: What has an address, in the order in which it was asked for.
 _KNOWN: dict[int, Callable[..., None]] = {}

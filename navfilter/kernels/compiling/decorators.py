@@ -29,8 +29,6 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["apart", "checksum", "flat", "njit", "scratch", "shaped", "standing"]
-
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
     *("InlineClosureLikes", "MakeFunctionToJitFunction", "WithLifting", "RewriteDynamicRaises", "FindLiterallyCalls"),

@@ -15,8 +15,6 @@ from numba.core import event
 from navfilter.kernels.compiling.decorators import checksum
 from navfilter.kernels.compiling.shipped import SHIPPED
 
-__all__ = ["announce_each", "count_announced", "expect", "is_compiled", "kernel_count", "show_compilation"]
-
 #: Elsewhere than on a terminal one line is written in so many seconds [s].
 _EVERY_S = 10.0
 _WIDTH = 79

@@ -11,8 +11,6 @@ from typing import Any
 
 from numba.core.caching import Cache, IndexDataCacheFile
 
-__all__ = ["SHIPPED"]
-
 #: Folders of kernels that are looked at where one is not in the folder that numba keeps them in; none where one was
 #: asked for.
 SHIPPED = [] if os.environ.get("NUMBA_CACHE_DIR") else [Path(__file__).parents[1] / "__pycache__"]

@@ -17,8 +17,6 @@ from numba.core.types.functions import BaseFunction
 
 from navfilter.kernels.compiling.decorators import KNOWN
 
-__all__ = ["calls_remembered"]
-
 
 @contextmanager
 def calls_remembered() -> Iterator[None]:

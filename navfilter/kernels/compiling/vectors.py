@@ -13,22 +13,6 @@ from numba.extending import lower_builtin
 
 from navfilter.kernels.compiling.registers import LANES, VECTOR, call, compiled, transposed
 
-__all__ = [
-    "WIDE",
-    "Row",
-    "Written",
-    "WrittenRows",
-    "build_panels",
-    "copy_row",
-    "exchange",
-    "less_half",
-    "mirror",
-    "product",
-    "rank2_update",
-    "weighted",
-    "write_out",
-]
-
 # Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
 HIGH, WIDE = 9, 8
 # So many terms of each sum of a product at a time: where its nine rows stand is then found out once for them.

@@ -27,8 +27,6 @@ from navfilter.models.sensors.velocity import VELOCITY
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
-__all__ = ["DeadReckoning"]
-
 Array = NDArray[np.float64]
 #: Where the kernels look for states that a drive may have, and the first of each.
 FIRST_PARAMETERS = {

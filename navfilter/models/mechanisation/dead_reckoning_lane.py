@@ -13,8 +13,6 @@ from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.mechanisation.imu import Imu
 from navfilter.models.sensors.traits import Doubt
 
-__all__ = ["DeadReckoningLane"]
-
 Array = NDArray[np.float64]
 
 

@@ -33,8 +33,6 @@ from navfilter.models.sensors.traits import Columns, Doubt, Plausible, angle_dou
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
-__all__ = ["ACCEL_PRIOR", "GYRO_PRIOR", "Imu"]
-
 Array = NDArray[np.float64]
 RATE = Columns("rate", ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s"), ("angular rate",) * 3)
 FORCE = Columns("force", ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"), ("acceleration",) * 3)

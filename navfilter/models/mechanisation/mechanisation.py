@@ -23,8 +23,6 @@ from navfilter.models.sensors.traits import Columns, Doubt, Plausible
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
-__all__ = ["DriveNoise", "Mechanisation", "Triple"]
-
 Array = NDArray[np.float64]
 
 

@@ -21,8 +21,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Altitude"]
-
 Array = NDArray[np.float64]
 ALTITUDE = Columns("altitude", ("altitude_m",), ("length",))
 

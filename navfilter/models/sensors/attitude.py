@@ -23,8 +23,6 @@ from navfilter.models.state import matrix_from_euler
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["ATTITUDE", "Attitude"]
-
 Array = NDArray[np.float64]
 ATTITUDE = Columns("attitude", ("roll_rad", "pitch_rad", "yaw_rad"), ("angle",) * 3, circular=("roll_rad", "yaw_rad"))
 

@@ -23,8 +23,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["DvlBeams"]
-
 Array = NDArray[np.float64]
 MOST_BEAMS = 4
 BEAMS = Columns(

@@ -21,8 +21,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Course"]
-
 Array = NDArray[np.float64]
 COURSE = Columns("course", ("ground_speed_m_s", "course_rad"), ("speed", "angle"), circular=("course_rad",))
 VELOCITY_N = Columns("velocity_n", ("v_north_m_s", "v_east_m_s", "v_down_m_s"), ("speed",) * 3)

@@ -22,8 +22,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Heading"]
-
 Array = NDArray[np.float64]
 HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)

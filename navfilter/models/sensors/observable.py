@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["Observable"]
-
 
 class Observable(Enum):
     """What of the state a sensor observes.

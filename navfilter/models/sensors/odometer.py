@@ -18,8 +18,6 @@ from navfilter.models.sensors.velocity import BodyVelocity
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Odometer"]
-
 Array = NDArray[np.float64]
 SPEED = Columns("wheel_speed", ("wheel_speed_m_s",), ("speed",))
 

@@ -22,8 +22,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Depth", "Position"]
-
 Array = NDArray[np.float64]
 DEPTH = Columns("depth", ("depth_m",), ("length",))
 PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))

@@ -21,8 +21,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Range", "earth_fixed"]
-
 Array = NDArray[np.float64]
 EARTH = (strapdown.EARTH_RADIUS, strapdown.EARTH_E2)
 RANGE = Columns("range", ("range_m",), ("length",))

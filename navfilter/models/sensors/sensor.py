@@ -23,8 +23,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["LARGEST", "Errors", "Sensor", "Vector", "checked_sds", "checked_vector"]
-
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]

@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 from navfilter.foundation.constants import STANDARD_GRAVITY
 
-__all__ = ["Columns", "Doubt", "Example", "Plausible", "angle_doubt", "kind_name", "kinds_below", "shown_unit"]
-
 #: SI unit -> what people read it in, and the factor to it.
 _SHOWN = {
     "rad": ("deg", 180.0 / math.pi),

@@ -23,8 +23,6 @@ from navfilter.models.state import matrix_from_euler
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["Usbl"]
-
 Array = NDArray[np.float64]
 POLAR = Columns(
     "usbl",

@@ -24,8 +24,6 @@ from navfilter.models.state import matrix_from_euler
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-__all__ = ["BodyVelocity", "WaterVelocity", "ZeroVelocity"]
-
 Array = NDArray[np.float64]
 VELOCITY = Columns("velocity", ("v_x_m_s", "v_y_m_s", "v_z_m_s"), ("speed",) * 3)
 #: Generous: beyond the worst and the best of instruments on the market.

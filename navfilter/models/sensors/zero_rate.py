@@ -18,8 +18,6 @@ from navfilter.models.sensors.traits import Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import ZeroVelocity
 from navfilter.models.start import Start
 
-__all__ = ["ZeroRate"]
-
 Array = NDArray[np.float64]
 #: A vehicle does not rest for the filter that is faster by so many standard deviations [1] than what hardly turns it
 #: [m/s], or whose velocity is not known to so much [m/s].

@@ -36,8 +36,6 @@ from navfilter.navigation.memory import LaneMemory, LanesMemory
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.status import NavigatorStatus, health_of
 
-__all__ = ["LaneNavigator", "begin_anew", "choice_of"]
-
 Array = NDArray[np.float64]
 #: Readings come at most so long after the last sample of the drive; so much is no leap of the clock either [s].
 AHEAD_S = 1.0

@@ -24,8 +24,6 @@ from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner
 
-__all__ = ["LaneReplay", "Piece"]
-
 Array = NDArray[np.float64]
 
 

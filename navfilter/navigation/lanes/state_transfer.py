@@ -13,8 +13,6 @@ from navfilter.filter.state_layout import Layout
 from navfilter.foundation.state_values import copied
 from navfilter.kernels import kalman
 
-__all__ = ["Transplant", "transplant"]
-
 Array = NDArray[np.float64]
 
 

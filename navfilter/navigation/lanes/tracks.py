@@ -20,8 +20,6 @@ from navfilter.navigation.track_assembly import assembled, bar, gathered, smooth
 from navfilter.navigation.track_bounds import bounds_along
 from navfilter.track.track import Track
 
-__all__ = ["replayed_lanes"]
-
 Array = NDArray[np.float64]
 #: A tape, and the time [s] behind which and up to which it counts.
 Stretch = tuple[Tape, float, float]

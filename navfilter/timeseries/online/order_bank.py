@@ -19,8 +19,6 @@ from navfilter.timeseries.order_criterion import Challenge, Choice
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius
 
-__all__ = ["ArmaBank", "moment_gm1"]
-
 Array = NDArray[np.float64]
 
 BANK_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))

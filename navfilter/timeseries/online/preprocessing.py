@@ -14,8 +14,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.online.order_bank import ArmaBank
 from navfilter.timeseries.online.recursive import RecursiveArma
 
-__all__ = ["FrontEnd", "find_resolution", "repeat_share"]
-
 Array = NDArray[np.float64]
 
 

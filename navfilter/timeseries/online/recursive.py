@@ -15,8 +15,6 @@ from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.online.window import WindowFit
 from navfilter.timeseries.roots import has_unit_root, is_stable
 
-__all__ = ["RecursiveArma"]
-
 Array = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from navfilter.kernels import recursive_arma as kernel
 from navfilter.kernels import recursive_arma_window as window_kernel
 from navfilter.timeseries.initial_values import hannan_rissanen_start, long_residuals
 
-__all__ = ["WindowFit"]
-
 Array = NDArray[np.float64]
 
 # Passes that polish a window: two usually suffice from a running estimate, a cold start may need many.
