@@ -1,16 +1,19 @@
 """The learner of one channel from hop to hop: which orders it finds, what it hands out, and what it remembers."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_channel import DEG, MEMS, PERIOD_S, TACTICAL, gauss_markov, series
 
+from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.moment_matching import slow_psd
 from navfilter.learning.open_loop_series import without_spikes
+from navfilter.learning.schedule import doubtful_ticks
 from navfilter.learning.slow_posterior import Line
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import CORRELATION_CONSTANTS
@@ -256,3 +259,12 @@ def test_the_prior_is_what_is_left_where_the_readings_say_nothing():
     assert 0.2 < few_sd < 2.0
     assert 0.0 < many_sd < 0.3 * few_sd
     assert set(CORRELATION_CONSTANTS) >= {part.order for part in (*few, *many)}
+
+
+def test_what_a_jumped_sensor_says_is_doubted_though_a_reading_was_let_in():
+    """What a wrong description explains is let in, and ends the refusals, but not the run of readings that agree."""
+    run = RejectionRun(True, True, (0.1,), (0.1,), (1e-4,), (1e-3,), began_s=95.0, last_s=99.0, count=5)
+    for since_s, ticks in ((math.nan, 6), (92.0, 9)):
+        faults = SimpleNamespace(refused=run, rejected_since_s=since_s)
+        channel = SimpleNamespace(faults=faults, stuck=False, period_s=1.0, offset=False)
+        assert doubtful_ticks(channel, 100.0) == ticks

@@ -446,5 +446,7 @@ def doubtful_ticks(channel: Channel, time_s: float) -> int:
     if channel.stuck:
         return round(STUCK_S / channel.period_s) + 1
     if refused is not None and refused.jumped and refused.count >= JUMPED:
-        return round((time_s - memory.rejected_since_s) / channel.period_s) + 1
+        # a reading that a wrong description let in has ended the refusals, not the run
+        since_s = float(np.fmin(memory.rejected_since_s, refused.began_s))
+        return round((time_s - since_s) / channel.period_s) + 1
     return int(channel.offset)
