@@ -34,7 +34,7 @@ def spoiled(mission, change, name="imu", begin_s=FAULT_S):
     return mission.with_stream(name, nf.Stream(stream.time_s, value, stream.columns))
 
 
-def accuses(dive, shape, seed, speed=lambda age_s: 1.5, count=12, sd=0.01, first_s=0.0):
+def accuses(dive, shape, seed, speed=lambda age_s: 1.5, count=12, sd=0.01, first_s=0.0, described=True):
     """Force by which refused velocities of this shape, in axes that point north, say that the unit has run away."""
     vehicle, mission, _ = dive
     filter, rng = nf.Navigator(vehicle, mission.start).filter, np.random.default_rng(seed)
@@ -45,7 +45,7 @@ def accuses(dive, shape, seed, speed=lambda age_s: 1.5, count=12, sd=0.01, first
         filter.memory.nav[3:6] = speed(age_s), 0.0, 0.0
         channel.res[:] = np.array(shape(age_s)) + sd * rng.normal(size=3)
         channel.faults.evidence = velocity_evidence.with_refused(filter, channel, 100.0 + age_s)
-    return velocity_evidence.force(channel, described=True)
+    return velocity_evidence.force(channel, described)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -60,6 +60,17 @@ def accuses(dive, shape, seed, speed=lambda age_s: 1.5, count=12, sd=0.01, first
 )
 def test_what_is_off_for_another_reason_is_no_force(dive, shape, sd, speed, seed):
     assert accuses(dive, shape, seed, speed, 24, sd) is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("late_s", [2.0, 5.0])
+def test_one_that_is_late_on_a_vehicle_that_speeds_up_tells_no_force(dive, late_s, seed):
+    """Of a sensor that nobody had tried for long, whose description is a rival; it is heard for ten seconds first."""
+
+    def shape(age):
+        return -0.2 * min(age, late_s), 0.0, 0.0
+
+    assert accuses(dive, shape, seed, lambda age: 1.5 + 0.2 * age, 44, described=False) is None
 
 
 @pytest.mark.parametrize("seed", range(10))
