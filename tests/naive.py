@@ -1369,7 +1369,9 @@ def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cur
     if asked:
         off, variance = mem[at[8] + 3 :][:a], mem[at[8] + 3 + a :][:a]
         told = variance > 0
-        undone[-1] -= 0.5 * np.sum(np.minimum(off[told] ** 2 / variance[told], 25.0) + np.log(variance[told]))
+        undone[2 * m + int(asked)] -= 0.5 * np.sum(
+            np.minimum(off[told] ** 2 / variance[told], 25.0) + np.log(variance[told])
+        )
     if kind:
         before = x[start - 9 : start - 9 + errors] - d[own]
         closed = mem[at[8] + 3 : at[8] + 3 + a] + C @ before

@@ -27,7 +27,7 @@ def test_carry():
     rng = np.random.default_rng(1)
     for m in (9, 10, 15):
         Phi = np.eye(m) + 0.1 * rng.normal(size=(m, m))
-        ours, twins = run_both(open_loop_residual.carry_feedback, rng.normal(size=2 * m + 2), Phi)
+        ours, twins = run_both(open_loop_residual.carry_feedback, rng.normal(size=2 * m + 3), Phi)
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
@@ -103,12 +103,18 @@ def test_a_level_follows_at_once_and_comes_back():
     "kind",
     [open_loop_residual.NOTHING, open_loop_residual.HEADING, open_loop_residual.POSITION, open_loop_residual.VELOCITY],
 )
-@pytest.mark.parametrize("told", ["", "constants", "still", "asked"])
+@pytest.mark.parametrize("told", ["", "constants", "still", "fixes", "calibrated"])
 def test_listen(kind, gravity, used, told):
     rng = np.random.default_rng(2)
     a = 1 if kind == open_loop_residual.HEADING else 3
     rows = a + 1 + (a + 1) * (told == "constants")
-    facts = 1e3 * (told == "still"), 0.7 * (told == "constants"), 0.0, rows, told == "asked"
+    facts = (
+        1e3 * (told == "still"),
+        0.7 * (told == "constants"),
+        0.0,
+        rows,
+        {"fixes": 1.0, "calibrated": 2.0}.get(told, 0.0),
+    )
     for ticks, cursor in ((1, 0), (4, 6), (30, 17)):
         dims = np.array([a, 20, 13, 4, 15, 3, 1, 0])
         n, m, errors, at = dims[1], dims[2], dims[5], kalman.memory_offsets(dims)
@@ -116,7 +122,7 @@ def test_listen(kind, gravity, used, told):
         mem[at[8] + 2] = used
         nav, mount = random_nav(rng), np.concatenate([facts, rng.normal(size=9)])
         args = (
-            rng.normal(size=2 * m + 2),
+            rng.normal(size=2 * m + 3),
             mem,
             dims,
             np.array(at),
@@ -134,7 +140,7 @@ def test_listen(kind, gravity, used, told):
             gravity,
         )
         ours, twins = run_both(open_loop_residual.record_residual, *args)
-        assert_close([ours[0][[*range(m + 9), -2, -1]]], [twins[0][[*range(m + 9), -2, -1]]], 1e-13)
+        assert_close([ours[0][[*range(m + 9), -3, -2, -1]]], [twins[0][[*range(m + 9), -3, -2, -1]]], 1e-13)
         np.testing.assert_array_equal(np.isnan(ours[9]), np.isnan(twins[9]))
         assert_close([np.nan_to_num(ours[9])], [np.nan_to_num(twins[9])], 1e-13)
         np.testing.assert_array_equal(ours[10], twins[10])

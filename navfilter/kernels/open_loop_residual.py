@@ -14,9 +14,9 @@ A residual is that of the sensor's constants (scale, lever arm, clock ...) as th
 are states, their estimates and the slopes of the reading by them are noted, too, so that residuals can be those of
 better estimates later.
 
-Places in ``undone`` (2m + 2 elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to
+Places in ``undone`` (2m + 3 elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to
 m, then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space; then that sum,
-and last how well fixes were predicted that nothing is learnt from.
+and last how well fixes were predicted that nothing is learnt from, and how well readings with constants as states.
 """
 
 import math
@@ -36,9 +36,10 @@ LEVELS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 MOUNT = ODDS + len(LEVELS)
 # First in a `mount`, before the rows that turn the body's axes to the instrument's: a velocity below which nothing is
 # learnt [m/s], how long a reading waits [s], which of the sensor's parameters is its clock (-1: none), rows of the
-# ring; whether it is asked how well its readings are predicted.
+# ring; where it is summed up how well its readings are predicted (0: nowhere).
 STILL, LEAD_S, CLOCK, ROWS, ASKED, AXES = range(6)
 EAR = MOUNT + AXES + 9
+OF_FIXES, BESIDE_CONSTANTS = 1.0, 2.0  # `ASKED` of the two sums that `undone` ends with
 # The level changes from one reading to the next with this probability [1]: in 50 minutes at 8 Hz. Ten times as often,
 # it is changed four times as often, and errors are the same.
 CHANGES = 4e-5
@@ -154,7 +155,7 @@ def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cur
             if variance > 0.0:
                 # as likely as a normal variate; of one that is far off only so much counts
                 off = mem[verdict + 3 + i] ** 2 / variance
-                undone[2 * m + 1] -= 0.5 * (min(off, NIS_MOST) + math.log(variance))
+                undone[2 * m + int(mount[ASKED])] -= 0.5 * (min(off, NIS_MOST) + math.log(variance))
     if kind != NOTHING:
         capacity = ring.shape[1]
         at = cursor[0]

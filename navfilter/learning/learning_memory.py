@@ -34,9 +34,9 @@ class RerunRequest:
 
 def relaid(fed_back: Array, M: Array, after: int) -> Array:
     """What was fed back, see `LearningMemory`, with a head of so many states that M makes of those before."""
-    before, result = len(fed_back) // 2 - 1, np.zeros(2 * after + 2)
+    before, result = (len(fed_back) - 3) // 2, np.zeros(2 * after + 3)
     result[:after] = M[:after, :before] @ fed_back[:before]
-    result[after : after + 9], result[-2:] = fed_back[before : before + 9], fed_back[-2:]
+    result[after : after + 9], result[-3:] = fed_back[before : before + 9], fed_back[-3:]
     return result
 
 
@@ -46,7 +46,7 @@ class LearningMemory:
 
     Attributes
     ----------
-    fed_back : ndarray, shape (2m + 2,)
+    fed_back : ndarray, shape (2m + 3,)
         Sum of what the corrections fed back, as an open loop would have carried it, see
         `navfilter.kernels.open_loop_residual`.
     listeners : dict of str to ListenerMemory
@@ -68,7 +68,7 @@ class LearningMemory:
     levels : dict of str to tuple of float
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     refused : bool
-        Whether what was learnt last predicts fixes worse than what is in force.
+        Whether what was learnt last predicts fixes, or its readings, worse than what is in force.
     """
 
     SHARED: ClassVar = ("beginning",)

@@ -99,7 +99,8 @@ class OpenLoopSeries:
         self.constants = len(parameters) if any(p.sd for p in parameters) else 0
         clock = next((i for i, p in enumerate(parameters) if p.name == "time_offset"), -1)
         rows = sensor.axes + 1 + self.constants * (sensor.axes + 1)
-        facts = sensor.still_m_s, sensor.lead_s, clock, rows, 0.0
+        asked = open_loop_residual.BESIDE_CONSTANTS if self.constants else 0.0
+        facts = sensor.still_m_s, sensor.lead_s, clock, rows, asked
         self.mount = np.concatenate([facts, np.ascontiguousarray(sensor.instrument_axes()).ravel()])
         self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
         self._turns = any(math.isfinite(drift.most_turned) for drift in self.drifts)

@@ -93,7 +93,7 @@ class LearningSchedule:
 
     #: The beginning is done again so much later, of the age [1]: a machine must be 50 times as fast as the mission.
     AGAIN_AFTER = 0.02
-    #: Where fixes are less likely by so much, the models are wrong [nat]: twenty to one.
+    #: Where readings are less likely by so much, the models are wrong [nat]: twenty to one.
     WORSE = 3.0
 
     def __init__(self, filter: FilterState, behind_s: float, worker: Worker | None = None) -> None:
@@ -106,7 +106,7 @@ class LearningSchedule:
         self._waiting: tuple[Change, ...] = ()
         self.again: RerunRequest | None = None
         self._refused = False
-        self._fed_back = np.zeros(2 * filter.layout.head + 2)
+        self._fed_back = np.zeros(2 * filter.layout.head + 3)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
         for name, sensor in vehicle.sensors.items():
@@ -372,13 +372,16 @@ class LearningSchedule:
     @property
     def compares(self) -> bool:
         """Whether the beginning is not done again before it is known that this is better."""
-        return self.again is not None and bool(self.fixes)
+        asks = self.fixes or any(listener.constants for listener in self.listeners.values())
+        return self.again is not None and bool(asks)
 
     def is_no_better(self, other: LearningSchedule) -> bool:
         """Whether a run that has begun again is no better than this one, which goes on then: models that were learnt
-        must not predict fixes worse. Nothing of those is learnt, and they show what the rest makes of the position.
+        must predict neither fixes worse, of which nothing is learnt, and which show what the rest makes of the
+        position, nor readings of sensors with constants as states: those models were learnt beside constants as this
+        run estimates them.
         """
-        if other._fed_back[-1] > self._fed_back[-1] - self.WORSE:  # ln of how likely fixes were
+        if (other._fed_back[-2:] > self._fed_back[-2:] - self.WORSE).all():  # ln of how likely they were
             return False
         self._quiet_s, self._refused = self.early_s, True
         self._go_on()
@@ -422,7 +425,7 @@ class LearningSchedule:
         """
         for listener in self.listeners.values():
             listener.begin_again()
-        self._fed_back, self._refused = np.zeros(2 * self.filter.layout.head + 2), False
+        self._fed_back, self._refused = np.zeros(2 * self.filter.layout.head + 3), False
         if self.rest is not None:
             self.rest.begin_again()
         names = tuple(self.filter.channels)
