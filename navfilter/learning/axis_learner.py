@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import softmax
 
-from navfilter.learning.initial_values import cold_starts, grown_starts, padded_starts, with_slow_parts
+from navfilter.learning.initial_values import grown_starts, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
 from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
@@ -184,14 +184,13 @@ class Learner:
                 return AxisFit(likelihood, found, n)
         # as much has been heard since larger orders were begun from smaller ones as before
         again = heard >= 2 * self._memory.grown
-        fits = self._fits(likelihood, able, n, again)
+        fits, scores, unlikely = self._fits(likelihood, able, n, again)
         if not fits:
             return None
-        fits |= self._smooth(likelihood, fits, n)
-        scores = {kind: self._score(likelihood, point, n) for kind, point in fits.items()}
+        self._smooth(likelihood, fits, scores, n)
         chosen = self._weighed(scores)
         found = tuple(self._found(likelihood, kind, fits[kind], weight, new=True) for kind, weight in chosen.items())
-        self._keep(likelihood, fits, scores, chosen, found, heard, again)
+        self._keep(likelihood, fits, scores, unlikely, chosen, found, heard, again)
         return AxisFit(likelihood, found, n)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
@@ -233,33 +232,43 @@ class Learner:
         fast = point.theta.size - 2 * bool(point.slow)
         return point.value + 0.5 * criterion("bic", 0.0, fast, n) - log_share(likelihood, point)
 
-    def _fits(self, likelihood: Likelihood, able: list[Kind], n: int, again: bool) -> dict[Kind, Point]:
-        """The orders whose turn it is, without a slow part and beside one of first order. Each begins from its last
-        estimate, and where `again` is set from smaller ones, too: what was found of few readings may be near a lower
-        maximum, which no step leaves.
+    def _fits(
+        self, likelihood: Likelihood, able: list[Kind], n: int, again: bool
+    ) -> tuple[dict[Kind, Point], dict[Kind, float], dict[Kind, float]]:
+        """The orders whose turn it is, without a slow part and beside one of first order, and their scores. Each begins
+        from its last estimate, and where `again` is set from smaller ones, too: what was found of few readings may be
+        near a lower maximum, which no step leaves. Last come scores of those that cannot become good enough by what
+        smaller ones leave, which are not fitted.
         """
-        memory, fits = self._memory, dict[Kind, Point]()
+        memory, fits, scores, unlikely = self._memory, dict[Kind, Point](), dict[Kind, float](), dict[Kind, float]()
         best, shares = math.inf, [0.0, 0.0]
         for p, q, slow in self._ration(able):
-            below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
+            kind, starts = (p, q, slow), []
             # what it costs to be larger, and a slow part, comes off what an order may be worth
-            enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n) + shares[slow]
-            known = (p, q, slow) in memory.thetas
-            starts = [self._known(likelihood, (p, q, slow))] if known else []
-            starts += padded_starts(likelihood, below, p, q)
+            cost = 0.5 * criterion("bic", 0.0, p + q + 1, n) - shares[slow]
+            enough = best + EFFORT.hopeless - cost
+            known = kind in memory.thetas
+            if known:
+                starts.append(self._known(likelihood, kind))
+            if (again or not known) and p + q:
+                below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
+                grown, lowest = grown_starts(likelihood, below or {(0, 0): white_point(likelihood, slow)}, p, q)
+                if min(lowest - enough, memory.scores.get(kind, math.inf) - EFFORT.hopeless) > 0.0:
+                    unlikely[kind] = lowest + cost
+                    continue
+                starts += grown
             if slow and (again or not known) and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
-            elif not slow and (again or not known):
-                starts += grown_starts(likelihood, below, p, q)
-                if not known and (p + q <= 2 or not starts):
-                    starts += cold_starts(likelihood, p, q)
-            passes, race = (EFFORT.late_passes, 1 + again) if known else (EFFORT.first_passes, 2)
-            point = maximise(likelihood, starts, p, passes, slow, race, enough) if starts else None
-            if point is not None and _is_usable(point):
-                fits[p, q, slow] = point
-                best = min(best, self._score(likelihood, point, n))
-                shares[slow] = log_share(likelihood, point)
-        return fits
+            if starts:
+                passes, race = (EFFORT.late_passes, 1 + again) if known else (EFFORT.first_passes, 2)
+                point = maximise(likelihood, starts, p, passes, slow, race, enough)
+            else:
+                point = white_point(likelihood, slow)
+            if _is_usable(point):
+                fits[kind] = point
+                scores[kind] = self._score(likelihood, point, n)
+                best, shares[slow] = min(best, scores[kind]), log_share(likelihood, point)
+        return fits, scores, unlikely
 
     def _ration(self, able: list[Kind]) -> list[Kind]:
         """What to fit: all while the window fills, then the two best, the best without quick colour and the best with
@@ -274,15 +283,15 @@ class Learner:
         turn = [others[memory.turn % len(others)]] if others else []
         return sorted([*chosen, *turn], key=lambda kind: (sum(kind[:2]), kind))
 
-    def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], n: int) -> dict[Kind, Point]:
-        """An order beside a slow part of second order."""
+    def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], scores: dict[Kind, float], n: int) -> None:
+        """An order beside a slow part of second order, put to the others."""
         memory = self._memory
         first = [kind for kind in fits if kind[2]]
         if not first or (memory.lines and all(order < 2 for of in memory.lines.values() for order, _ in of)):
-            return {}
+            return
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
         young, second = memory.heard < self.window // 2, [kind for kind in memory.thetas if kind[2] == 2]
-        best = min(first, key=lambda kind: self._score(likelihood, fits[kind], n))
+        best = min(first, key=lambda kind: scores[kind])
         starts = [
             (kind[:2], with_slow_parts(likelihood, [likelihood.fast(fits[kind].theta, 1)], kind[0], 2)[0])
             for kind in ({best, min(first)} if young or not second else {min(first)})
@@ -291,13 +300,15 @@ class Learner:
         values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
         (p, q), start = starts[int(np.argmin(values))]
         point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
-        return {(p, q, 2): point} if _is_usable(point) else {}
+        if _is_usable(point):
+            fits[p, q, 2], scores[p, q, 2] = point, self._score(likelihood, point, n)
 
     def _keep(
         self,
         likelihood: Likelihood,
         fits: dict[Kind, Point],
         scores: dict[Kind, float],
+        unlikely: dict[Kind, float],
         chosen: dict[Kind, float],
         found: tuple[Found, ...],
         heard: int,
@@ -309,7 +320,7 @@ class Learner:
         for (p, q, slow), point in fits.items():
             thetas[p, q, slow] = theta = point.theta.copy()
             theta[p + q : p + q + 1 + bool(slow)] -= likelihood.log_unit
-        gaps = {**memory.scores, **{kind: score - lowest for kind, score in scores.items()}}
+        gaps = {**memory.scores, **{kind: score - lowest for kind, score in (unlikely | scores).items()}}
         lines = _lines(chosen, found)
         grown = heard if again else memory.grown
         self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)

@@ -20,6 +20,8 @@ from navfilter.timeseries.roots import resolved_radius
 
 Array = NDArray[np.float64]
 
+#: Ticks over which innovations are compared with each other.
+LAGS = 512
 #: Where innovations are not wanted.
 _UNWANTED = np.empty((0, LANES))
 _DIFFERENCES, _DAMPINGS = np.array([*EFFORT.differences, EFFORT.slow_difference]), np.array(EFFORT.dampings)
@@ -92,6 +94,7 @@ class Likelihood:
         self._space = np.empty(2 * self.y.size * LANES)
         self._beliefs = [slow_belief(slow, prior, drift.period_s, self.log_unit) for slow in range(3)]
         self._unbelieved = [slow_belief(slow, None, drift.period_s, self.log_unit) for slow in range(3)]
+        self._correlations: dict[Point, Array] = {}
 
     def fast(self, theta: Array, slow: int) -> Array:
         """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
@@ -120,6 +123,16 @@ class Likelihood:
     def innovations(self) -> Array:
         """Standardised innovations of the last `value`, NaN where nothing counts."""
         return self._noted(1)[0, :, 0].copy()
+
+    def correlations(self, point: Point) -> Array:
+        """Autocorrelations of the innovations at a point, shape (LAGS,)."""
+        if point not in self._correlations:
+            self.value(point.theta, point.p, point.slow)
+            z = np.clip(np.nan_to_num(self.innovations), -CLIP, CLIP)
+            power = np.abs(np.fft.rfft(z, 1 << (z.size + LAGS).bit_length())) ** 2
+            products = np.fft.irfft(power)[:LAGS]
+            self._correlations[point] = products / products[0]
+        return self._correlations[point]
 
     def penalised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
         """What is minimised, of any number of models, shape (K,): minus the log-likelihood less the log-density of the
