@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.learning.likelihood import Likelihood, Point
+from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_prior import SlowNode, SlowPrior
 
 Array = NDArray[np.float64]
@@ -37,8 +38,6 @@ STEEPEST, SHALLOWEST = 3.0, 3.0
 WIDTH = 0.4
 #: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
 FLATTEST = 0.5
-#: How wide a line is in ln sd is thought to be before it is known.
-GUESSED = 0.3
 #: A line so far below the best is not possible [nat].
 IMPOSSIBLE = 9.0
 #: Steps between two nodes of ln tau.
@@ -126,25 +125,30 @@ def slow_posterior(
     """
     prior = likelihood.prior
     assert prior is not None
-    fast, p, here = likelihood.fast(point.theta, point.slow), point.p, prior.centre
+    fast, (here, at), sd = likelihood.fast(point.theta, point.slow), prior.centre, prior.spread
     if point.slow:
-        here = float(point.theta[-2]) - likelihood.log_unit, float(point.theta[-1])
-    lines: dict[Place, Line] = {}
+        here, at, sd = float(point.theta[-2]) - likelihood.log_unit, float(point.theta[-1]), point.info[-2, -2] ** -0.5
+    log_taus = np.log(prior.taus_s).tolist()
+    # along the ridge of equal driving noise
+    guesses = [(here + 0.5 * (log_tau - at), float(sd)) for log_tau in log_taus]
+    lines, best = dict[Place, Line](), _Best()
     for order in (1, 2):
         searches: dict[Place, tuple[float, Search]] = {}
-        for number, log_tau in enumerate(np.log(prior.taus_s).tolist()):
-            place, look = (order, number), _Look(prior, order, log_tau)
+        for number, log_tau in enumerate(log_taus):
+            place, look = (order, number), _Look(prior, order, log_tau, best)
             if known and place in known:
                 searches[place] = log_tau, look.again(known[place])
             elif same:
-                lines[place] = Line(np.array(prior.centre[:1]), np.array([-1e300]), prior.centre[0], GUESSED)
-            else:  # along the ridge of equal driving noise
-                searches[place] = log_tau, look.line(here[0] + 0.5 * (log_tau - here[1]), GUESSED)
+                lines[place] = Line(np.array(prior.centre[:1]), np.array([-1e300]), *guesses[number])
+            else:
+                searches[place] = log_tau, look.line(*guesses[number])
         if order == 1:
             # none at all: one too small to matter
-            look = _Look(prior, 1, math.log(prior.tau_s))
+            look = _Look(prior, 1, log_taus[-1], best)
             searches[ABSENT] = look.log_tau, look.smallest()
-        lines |= _together(likelihood, fast, p, order, searches)
+        lines |= _together(likelihood, fast, point.p, order, searches)
+        # the peak of second order is near that of first
+        guesses = [(lines[order, number].peak, lines[order, number].sd) for number in range(len(log_taus))]
     return _weighed(lines, prior)
 
 
@@ -240,17 +244,24 @@ def _fine(nodes: int) -> tuple[Array, Array]:
     return straight + bent @ bends, straight
 
 
+@dataclass
+class _Best:
+    """The highest log-posterior that lines have found."""
+
+    value: float = -math.inf
+
+
 class _Look:
     """Looks for the peak of one line, and measures the evidence around it.
 
     Where minus the log-likelihood is wanted, the methods yield the places, and are sent it.
     """
 
-    def __init__(self, prior: SlowPrior, order: int, log_tau: float) -> None:
+    def __init__(self, prior: SlowPrior, order: int, log_tau: float, best: _Best) -> None:
         self.evidence: dict[float, float] = {}
         self.low, self.high = (math.log(limit) for limit in prior.sd_limits)
         self.centre, self.spread = prior.centre[0], prior.spread
-        self.log_tau = log_tau
+        self.log_tau, self.best = log_tau, best
         self.most = prior.log_density(order, self.centre, self.log_tau)
 
     def along(self, places: list[float]) -> Generator[list[float], list[float], list[float]]:
@@ -283,10 +294,13 @@ class _Look:
         value = below = above = 0.0
         for _ in range(16):
             below, value, above = yield from self.at(u - step, u, u + step)
-            bend = (2.0 * value - below - above) / step**2
+            bend, slope = (2.0 * value - below - above) / step**2, 0.5 * (above - below) / step
+            self.best.value = max(self.best.value, value)
+            if bend > 0.0 and value + EFFORT.optimism * 0.5 * slope**2 / bend < self.best.value - IMPOSSIBLE:
+                return Line(np.array([u]), np.maximum((yield from self.along([u])), -1e300), u, sd)
             if max(below, above) > value:
                 away = math.copysign(2.0 * step, above - below)
-                jump = 0.5 * (above - below) / (step * bend) if bend > 0.0 and math.isfinite(bend) else away
+                jump = slope / bend if bend > 0.0 and math.isfinite(bend) else away
                 moved = min(max(u + min(max(jump, -8.0 * step), 8.0 * step), self.low), self.high)
                 if moved == u or not (yield from self.at(moved))[0] > max(below, above):
                     moved = u - step if below > above else u + step
