@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.moment_matching import nearest, slow_psd
-from navfilter.learning.slow_posterior import SlowPosterior
+from navfilter.learning.slow_posterior import IMPOSSIBLE, SlowPosterior
 from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.spectrum import Spectrum, log_spread
 from navfilter.timeseries.model import ArmaModel
@@ -94,7 +94,7 @@ def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency
     posterior = found.posterior
     if posterior is None:
         return fast, np.full(len(ALIKE), 1.0 / len(ALIKE))
-    kept = posterior.weight > 1e-6 * posterior.weight.max()
+    kept = posterior.weight > math.exp(-IMPOSSIBLE) * posterior.weight.max()
     weight = posterior.weight[kept] / posterior.weight[kept].sum()
     slow = slow_psd(posterior.order[kept], np.exp(posterior.log_sd[kept]), posterior.tau_s[kept], frequency)
     both = (fast[:, None] + slow[None]).reshape(-1, frequency.size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,33 +41,34 @@ def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
         return ()
     mean = float(variance @ tau) / total
     slowest, quickest = float(tau.max()), float(tau.min())
-    frequency = np.geomspace(BELOW / (2.0 * np.pi * slowest), ABOVE / (2.0 * np.pi * quickest), OCTAVES)
-    truth = variance @ slow_psd(order, np.ones(tau.size), tau, frequency) / total
+    first, last = BELOW / (2.0 * np.pi * slowest), ABOVE / (2.0 * np.pi * quickest)
+    frequency = first * (last / first) ** np.linspace(0.0, 1.0, OCTAVES)
     # what is quicker than the mean ln tau, and what is slower: exact where there are two
     half = np.log(tau) <= float(variance @ np.log(tau)) / total + 1e-9  # of one alone but for rounding
     size = float(variance[half].sum())
-    share, quick = (one.ravel() for one in np.meshgrid(QUICK_SHARES, np.geomspace(quickest, mean, QUICK_TIMES)))
-    share, quick = np.append(share, size / total), np.append(quick, float(variance[half] @ tau[half]) / size)
+    quick = quickest * (mean / quickest) ** np.linspace(0.0, 1.0, QUICK_TIMES).repeat(QUICK_SHARES.size)
+    share, quick = (
+        np.append(np.tile(QUICK_SHARES, QUICK_TIMES), size / total),
+        np.append(quick, float(variance[half] @ tau[half]) / size),
+    )
     slow = (mean - share * quick) / np.maximum(1.0 - share, 1e-300)
     share, quick, slow = (one[(slow <= slowest) & (slow > 0.0) & (share < 1.0)] for one in (share, quick, slow))
-    quicker, slower, alone = (_by_order(times, frequency) for times in (quick, slow, np.array([mean])))
-    apart = {n: _divergence(truth, alone[n])[0] for n in alone}
-    best = min(apart, key=lambda n: apart[n])
-    found: tuple[GaussMarkov, ...] = (GaussMarkov(sd=math.sqrt(total), tau_s=mean, order=best),)
-    least = apart[best] - FITS
-    for one, other in product(quicker, slower):
-        both = _divergence(truth, share[:, None] * quicker[one] + (1.0 - share)[:, None] * slower[other])
-        k = int(np.argmin(both)) if both.size else -1
-        if k >= 0 and both[k] < least:
-            least = float(both[k])
-            parts = ((share[k], quick[k], one), (1.0 - share[k], slow[k], other))
-            found = tuple(GaussMarkov(math.sqrt(total * part), float(time_s), n) for part, time_s, n in parts)
-    return found
-
-
-def _by_order(tau_s: Array, frequency: Array) -> dict[int, Array]:
-    """Spectra of processes of variance one, by their order."""
-    return {n: slow_psd(np.full(tau_s.size, n), np.ones(tau_s.size), tau_s, frequency) for n in (1, 2)}
+    # rows: what many are, one process, the quicker ones, the slower ones; of either order
+    times, count = np.concatenate([[mean], quick, slow]), share.size
+    kinds = np.repeat([1, 2], times.size)
+    shapes = slow_psd(
+        np.concatenate([order, kinds]), np.ones(tau.size + kinds.size), np.concatenate([tau, times, times]), frequency
+    )
+    truth, shapes = variance @ shapes[: tau.size] / total, shapes[tau.size :].reshape(2, times.size, OCTAVES)
+    apart = _divergence(truth, shapes[:, 0])
+    best = int(np.argmin(apart))
+    both = share[:, None] * shapes[:, None, 1 : 1 + count] + (1.0 - share)[:, None] * shapes[None, :, 1 + count :]
+    two = _divergence(truth, both)
+    if not count or two.min() >= apart[best] - FITS:
+        return (GaussMarkov(sd=math.sqrt(total), tau_s=mean, order=best + 1),)
+    one, other, k = np.unravel_index(int(np.argmin(two)), two.shape)
+    parts = (share[k], quick[k], one + 1), (1.0 - share[k], slow[k], other + 1)
+    return tuple(GaussMarkov(math.sqrt(total * part), float(time_s), int(n)) for part, time_s, n in parts)
 
 
 def _divergence(truth: Array, model: Array) -> Array:
