@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.learning.initial_values import cold_starts, grown_starts, padded_start, padded_starts
+from navfilter.learning.initial_values import LOG_SDS, Growth, padded_start, white_point
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.settings import EFFORT
 from navfilter.models.navigation_drift import Drift
@@ -125,15 +125,12 @@ def fit_channel(
     y = tidy_series(series, 10 + 3 * (p + q) + drift.order, "fit_channel", gaps=True)
     likelihood = Likelihood(y, drift, white)
     if start is None:
-        starts = cold_starts(likelihood, p, q)
-        if p >= 2 and q >= 1:
-            # A slow part that a lower order leaves out is found by adding one to its estimate, and hardly otherwise.
-            below = min(p - 1, q), q - 1
-            simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], EFFORT.below_passes)
-            starts += [
-                *padded_starts(likelihood, {below: simple}, p, q),
-                *grown_starts(likelihood, {below: simple}, p, q),
-            ]
+        # by a pole and a zero more from order to order: a slow part that a lower one leaves out is hardly found otherwise
+        below, growth, starts = {(0, 0): white_point(likelihood)}, Growth(likelihood), list(LOG_SDS)
+        for order in [(min(k, p), min(k, q)) for k in range(1, max(p, q) + 1)]:
+            starts = growth.starts(below, *order)[0]
+            if order != (p, q):
+                below[order] = maximise(likelihood, starts, order[0], EFFORT.below_passes)
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import softmax
 
-from navfilter.learning.initial_values import grown_starts, white_point, with_slow_parts
+from navfilter.learning.initial_values import Growth, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
 from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
@@ -241,26 +241,27 @@ class Learner:
         smaller ones leave, which are not fitted.
         """
         memory, fits, scores, unlikely = self._memory, dict[Kind, Point](), dict[Kind, float](), dict[Kind, float]()
-        best, shares = math.inf, [0.0, 0.0]
+        best, shares, growth = math.inf, [0.0, 0.0], Growth(likelihood)
         for p, q, slow in self._ration(able):
-            kind, starts = (p, q, slow), []
+            kind = p, q, slow
             # what it costs to be larger, and a slow part, comes off what an order may be worth
             cost = 0.5 * criterion("bic", 0.0, p + q + 1, n) - shares[slow]
             enough = best + EFFORT.hopeless - cost
             known = kind in memory.thetas
-            if known:
-                starts.append(self._known(likelihood, kind))
+            starts = [self._known(likelihood, kind)] if known else []
             if (again or not known) and p + q:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
-                grown, lowest = grown_starts(likelihood, below or {(0, 0): white_point(likelihood, slow)}, p, q)
-                if min(lowest - enough, memory.scores.get(kind, math.inf) - EFFORT.hopeless) > 0.0:
+                below = below or {(0, 0): white_point(likelihood, slow)}
+                was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
+                grown, lowest = growth.starts(below, p, q, math.inf if was_close else enough)
+                if not grown:
                     unlikely[kind] = lowest + cost
                     continue
                 starts += grown
             if slow and (again or not known) and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
             if starts:
-                passes, race = (EFFORT.late_passes, 1 + again) if known else (EFFORT.first_passes, 2)
+                passes, race = (EFFORT.late_passes, 1 + 2 * again) if known else (EFFORT.first_passes, 3)
                 point = maximise(likelihood, starts, p, passes, slow, race, enough)
             else:
                 point = white_point(likelihood, slow)

@@ -77,31 +77,58 @@ def with_slow_parts(likelihood: Likelihood, fasts: Sequence[Array], p: int, slow
     return [of[best] for of, best in zip(np.split(nodes, len(fasts)), values.argmin(axis=1), strict=True)]
 
 
-def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> tuple[list[Array], float]:
-    """Starts from estimates of lower orders, of which there is at least one: of each number of poles and zeros more
-    those that leave the least variance, the best first, then the best estimate as it stands. And how low minus the
-    log-likelihood may become: less by `EFFORT.optimism` times what one of them should gain.
-    """
-    found, lowest = [], math.inf
-    for more, (ar, ma, weights) in _factors().items():
-        lower = [k for k in below if k[0] + more[0] <= p and k[1] + more[1] <= q]
-        if not lower:
-            continue
-        best = min(lower, key=lambda k: below[k].value)
-        point = below[best]
-        left = np.maximum(weights @ likelihood.correlations(point), 1e-6)
-        of = int(np.argmin(left))
-        gain = -0.5 * likelihood.n * math.log(left[of])
-        theta, at = point.theta, sum(best)
-        theta = np.concatenate(
-            [_product(theta[: best[0]], ar[of]), _product(theta[best[0] : at], ma[of]), theta[at:]]
-        )
-        theta[at + sum(more)] += 0.5 * math.log(left[of])
-        found.append((point.value - gain, padded_start(theta, best[0] + more[0], p, q, point.slow)))
-        lowest = min(lowest, point.value - EFFORT.optimism * max(gain, 0.0))
-    found.sort(key=lambda one: one[0])
-    best = min(below, key=lambda k: below[k].value)
-    return [*(start for _, start in found), padded_start(below[best].theta, best[0], p, q, below[best].slow)], lowest
+class Growth:
+    """Starts of larger orders from estimates of smaller ones beside the same slow part, or beside none."""
+
+    def __init__(self, likelihood: Likelihood) -> None:
+        self.likelihood = likelihood
+        self._promised: dict[Point, dict[Order, tuple[float, int]]] = {}
+
+    def promised(self, point: Point) -> dict[Order, tuple[float, int]]:
+        """By how many poles and zeros more: by how much the variance of a point's innovations falls at best, as a
+        logarithm, and the number of those polynomials.
+        """
+        if point not in self._promised:
+            correlations, found = self.likelihood.correlations(point), {}
+            for more, (_, _, weights) in _factors().items():
+                left = weights @ correlations
+                of = int(np.argmin(left))
+                found[more] = -math.log(max(float(left[of]), 1e-6)), of
+            self._promised[point] = found
+        return self._promised[point]
+
+    def starts(
+        self, below: Mapping[Order, Point], p: int, q: int, enough: float = math.inf
+    ) -> tuple[list[Array], float]:
+        """Of each number of poles and zeros more those that promise most, the best of them first, then the best
+        estimate as it stands. And how low minus the log-likelihood may become: less by `EFFORT.optimism` times what one
+        of them should gain; where that is not `enough`, there are none.
+
+        `below` are estimates of orders that may become (p, q), at least one.
+        """
+        found, lowest = [], math.inf
+        for more in _factors():
+            lower = [k for k in below if k[0] + more[0] <= p and k[1] + more[1] <= q]
+            if not lower:
+                continue
+            best = min(lower, key=lambda k: below[k].value)
+            fall, of = self.promised(below[best])[more]
+            gain = 0.5 * self.likelihood.n * fall
+            found.append((below[best].value - gain, best, more, of, fall))
+            lowest = min(lowest, below[best].value - EFFORT.optimism * max(gain, 0.0))
+        if lowest > enough:
+            return [], lowest
+        starts = []
+        for _, best, more, of, fall in sorted(found):
+            theta, at, (ar, ma, _) = below[best].theta, sum(best), _factors()[more]
+            poles, zeros = _product(theta[: best[0]], ar[of]), _product(theta[best[0] : at], ma[of])
+            theta = np.concatenate([poles, zeros, theta[at:]])
+            theta[at + sum(more)] -= 0.5 * fall
+            starts.append(padded_start(theta, poles.size, p, q, below[best].slow))
+        best = min(below, key=lambda k: below[k].value)
+        if not any(of == best for _, of, *_ in found):
+            starts.append(padded_start(below[best].theta, best[0], p, q, below[best].slow))
+        return starts, lowest
 
 
 def _product(of: Array, by: Array) -> Array:

@@ -94,7 +94,6 @@ class Likelihood:
         self._space = np.empty(2 * self.y.size * LANES)
         self._beliefs = [slow_belief(slow, prior, drift.period_s, self.log_unit) for slow in range(3)]
         self._unbelieved = [slow_belief(slow, None, drift.period_s, self.log_unit) for slow in range(3)]
-        self._correlations: dict[Point, Array] = {}
 
     def fast(self, theta: Array, slow: int) -> Array:
         """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
@@ -126,13 +125,10 @@ class Likelihood:
 
     def correlations(self, point: Point) -> Array:
         """Autocorrelations of the innovations at a point, shape (LAGS,)."""
-        if point not in self._correlations:
-            self.value(point.theta, point.p, point.slow)
-            z = np.clip(np.nan_to_num(self.innovations), -CLIP, CLIP)
-            power = np.abs(np.fft.rfft(z, 1 << (z.size + LAGS).bit_length())) ** 2
-            products = np.fft.irfft(power)[:LAGS]
-            self._correlations[point] = products / products[0]
-        return self._correlations[point]
+        self.value(point.theta, point.p, point.slow)
+        z = np.clip(np.nan_to_num(self.innovations), -CLIP, CLIP)
+        products = np.fft.irfft(np.abs(np.fft.rfft(z, 1 << (z.size + LAGS).bit_length())) ** 2)[:LAGS]
+        return np.asarray(products / products[0])
 
     def penalised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
         """What is minimised, of any number of models, shape (K,): minus the log-likelihood less the log-density of the
