@@ -250,7 +250,7 @@ def test_what_cannot_become_good_enough_is_not_improved(fitted):
     begun = likelihood.penalised(likelihood.confine(starts, 0, 1), 0, 1)
     assert begun.min() > found.value + 1.0
     for enough, value in ((-math.inf, begun.min()), (found.value - 1e3, begun.min()), (found.value, found.value)):
-        point = maximise(likelihood, starts, 0, 20, 1, 2, enough)
+        point = maximise(likelihood, starts, 0, 20, 1, enough)
         assert point.value == pytest.approx(value, abs=0.1), enough
         assert likelihood.penalised([point.theta], 0, 1)[0] == point.value
 

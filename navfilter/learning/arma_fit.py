@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.learning.initial_values import LOG_SDS, Growth, padded_start, white_point
+from navfilter.learning.initial_values import Growth, padded_start, white_point
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.settings import EFFORT
 from navfilter.models.navigation_drift import Drift
@@ -126,16 +126,15 @@ def fit_channel(
     likelihood = Likelihood(y, drift, white)
     if start is None:
         # by a pole and a zero more from order to order: a slow part that a lower one leaves out is hardly found otherwise
-        below, growth, starts = {(0, 0): white_point(likelihood)}, Growth(likelihood), list(LOG_SDS)
+        below, growth = {(0, 0): white_point(likelihood)}, Growth(likelihood)
         for order in [(min(k, p), min(k, q)) for k in range(1, max(p, q) + 1)]:
             starts = growth.starts(below, *order)[0]
-            if order != (p, q):
-                below[order] = maximise(likelihood, starts, order[0], EFFORT.below_passes)
+            below[order] = maximise(likelihood, starts, order[0], passes if order == (p, q) else EFFORT.below_passes)
+        point = below[p, q]
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:
-        starts = [padded_start(theta_of(start, likelihood), start.p, p, q)]
-    point = maximise(likelihood, starts, p, passes)
+        point = maximise(likelihood, [padded_start(theta_of(start, likelihood), start.p, p, q)], p, passes)
     return channel_fit(likelihood, point)
 
 

@@ -261,8 +261,8 @@ class Learner:
             if slow and (again or not known) and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
             if starts:
-                passes, race = (EFFORT.late_passes, 1 + 2 * again) if known else (EFFORT.first_passes, 3)
-                point = maximise(likelihood, starts, p, passes, slow, race, enough)
+                passes = EFFORT.late_passes if known else EFFORT.first_passes
+                point = maximise(likelihood, starts, p, passes, slow, enough)
             else:
                 point = white_point(likelihood, slow)
             if _is_usable(point):

@@ -60,7 +60,8 @@ def padded_start(theta: Array, p: int, up_p: int, up_q: int, slow: int = 0) -> A
 def white_point(likelihood: Likelihood, slow: int = 0) -> Point:
     """The best white noise, beside a slow part if there is to be one."""
     starts = with_slow_parts(likelihood, list(LOG_SDS), 0, slow) if slow else list(LOG_SDS)
-    return maximise(likelihood, starts, 0, EFFORT.first_passes, slow)
+    best = starts[int(np.argmin(likelihood.penalised(starts, 0, slow)))]
+    return maximise(likelihood, [best], 0, EFFORT.first_passes, slow)
 
 
 def with_slow_parts(likelihood: Likelihood, fasts: Sequence[Array], p: int, slow: int = 1) -> list[Array]:

@@ -205,10 +205,9 @@ def maximise(
     p: int,
     passes: int,
     slow: int = 0,
-    race: int = 2,
     enough: float = math.inf,
 ) -> Point:
-    """Fisher scoring: a short race between the best starts, then the leader alone.
+    """Fisher scoring: a short race between the starts, then the leader alone.
 
     Parameters
     ----------
@@ -221,16 +220,11 @@ def maximise(
         Most scoring passes of the leader.
     slow : int
         Order of the slow part, 0 without one.
-    race : int
-        How many of the starts run.
     enough : float
         A point that should stay above this value, though it gained `EFFORT.optimism` times what its slope says, is not
         improved.
     """
-    inside = likelihood.confine(starts, p, slow)
-    first, others = likelihood.points(inside[0], p, slow, inside[1:])
-    ranked = np.argsort([first.value, *others], kind="stable")[:race].tolist()
-    leaders = [likelihood.point(inside[i], p, slow) if i else first for i in ranked]
+    leaders = [likelihood.point(theta, p, slow) for theta in likelihood.confine(starts, p, slow)]
     if len(leaders) > 1:
         runs = [_climb(likelihood, point, EFFORT.race_passes, enough) for point in leaders]
         best = min(runs, key=lambda point: point.value)
