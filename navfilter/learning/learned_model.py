@@ -12,15 +12,17 @@ from scipy.special import ndtri
 
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.moment_matching import nearest, slow_psd
-from navfilter.learning.slow_posterior import IMPOSSIBLE, SlowPosterior
+from navfilter.learning.slow_posterior import SlowPosterior
 from navfilter.models.error_models import ErrorModel, White
-from navfilter.models.spectrum import Spectrum, log_spread
+from navfilter.models.spectrum import Spectrum, log_spread, quantiles
 from navfilter.timeseries.model import ArmaModel
 
 Array = NDArray[np.float64]
 
-#: Middles of nine equally probable parts of a standard normal distribution: the outer ones are its 5 and 95 %.
-ALIKE = ndtri((np.arange(9) + 0.5) / 9.0)
+#: Middles of nine equally probable parts of a distribution: the outer ones are its 5 and 95 %; and of a standard normal
+#: one.
+PARTS = (np.arange(9) + 0.5) / 9.0
+ALIKE = ndtri(PARTS)
 
 
 class LearnedModel(NamedTuple):
@@ -84,7 +86,7 @@ def _fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
 
 def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency: Array) -> tuple[Array, Array]:
     """Spectra of the whole error, shape (n, frequencies), and their weights: equally probable ones of the fast part,
-    each with all nodes of the slow part's posterior.
+    each with equally probable ones of the slow part.
     """
     period_s, k = likelihood.drift.period_s, model.p + model.q + 1
     covariance = np.asarray(np.linalg.inv(found.point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
@@ -94,8 +96,6 @@ def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency
     posterior = found.posterior
     if posterior is None:
         return fast, np.full(len(ALIKE), 1.0 / len(ALIKE))
-    kept = posterior.weight > math.exp(-IMPOSSIBLE) * posterior.weight.max()
-    weight = posterior.weight[kept] / posterior.weight[kept].sum()
-    slow = slow_psd(posterior.order[kept], np.exp(posterior.log_sd[kept]), posterior.tau_s[kept], frequency)
-    both = (fast[:, None] + slow[None]).reshape(-1, frequency.size)
-    return both, np.tile(weight, len(ALIKE)) / len(ALIKE)
+    slow = slow_psd(posterior.order, np.exp(posterior.log_sd), posterior.tau_s, frequency)
+    both = (fast[:, None] + quantiles(slow, posterior.weight, PARTS)[None]).reshape(-1, frequency.size)
+    return both, np.full(len(both), 1.0 / len(both))

@@ -126,8 +126,9 @@ class Likelihood:
     def correlations(self, point: Point) -> Array:
         """Autocorrelations of the innovations at a point, shape (LAGS,)."""
         self.value(point.theta, point.p, point.slow)
-        z = np.clip(np.nan_to_num(self.innovations), -CLIP, CLIP)
-        products = np.fft.irfft(np.abs(np.fft.rfft(z, 1 << (z.size + LAGS).bit_length())) ** 2)[:LAGS]
+        z = self.innovations
+        z = np.where(np.isfinite(z), z, 0.0).clip(-CLIP, CLIP)
+        products = np.fft.irfft(np.abs(np.fft.rfft(z, (z.size // LAGS + 2) * LAGS)) ** 2)[:LAGS]
         return np.asarray(products / products[0])
 
     def penalised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:

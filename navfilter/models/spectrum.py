@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -38,15 +39,21 @@ class Spectrum:
     @classmethod
     def weighted(cls, frequency_hz: Array, density: Array, weight: Array) -> Spectrum:
         """Of spectra, shape (n, frequencies), with weights whose sum is one."""
-        at = np.ascontiguousarray(density.T)
-        order = np.argsort(at, axis=1)
-        sums = np.cumsum(weight[order], axis=1)
-        rows = np.arange(len(at))
-        ranks = [np.minimum((sums < share).sum(axis=1), len(weight) - 1) for share in (0.05, 0.5, 0.95)]
-        low, median, high = (tuple(at[rows, order[rows, rank]].tolist()) for rank in ranks)
+        low, median, high = (tuple(each) for each in quantiles(density, weight, (0.05, 0.5, 0.95)).tolist())
         log = np.log(np.maximum(density[:, 0], 1e-300))
         spread = float(np.sqrt(max(weight @ log**2 - float(weight @ log) ** 2, 0.0)))
         return cls(tuple(frequency_hz.tolist()), low, median, high, spread)
+
+
+def quantiles(density: Array, weight: Array, shares: Sequence[float]) -> Array:
+    """Of each column of an array, shape (n, columns), those below which these shares of the weights lie, which together
+    are one; shape (shares, columns).
+    """
+    at = np.ascontiguousarray(density.T)
+    order = np.argsort(at, axis=1)
+    sums = np.cumsum(weight[order], axis=1)
+    ranks = np.minimum((sums[:, None] < np.reshape(shares, (-1, 1))).sum(axis=2), len(weight) - 1)
+    return np.take_along_axis(at, np.take_along_axis(order, ranks, axis=1), axis=1).T
 
 
 def log_spread(ar: Array, ma: Array, covariance: Array, turn: Array) -> Array:
