@@ -32,7 +32,8 @@ class OptimiserSettings:
         After a step that gains less, derivatives are not taken again: readings alone scatter an estimate by half a unit
         of log-likelihood for each parameter.
     hopeless : float
-        An order that should stay so far behind the best (half of BIC) is not improved.
+        An order that should stay so far behind the best (half of BIC) is not fitted, or not improved: twenty to one, and
+        it would not count.
     optimism : float
         What an order may gain, of what its slope says: the curvature beside it is that of other places.
     longest_step : float
@@ -55,7 +56,7 @@ class OptimiserSettings:
     zero_radius: float = 0.9995
     converged: float = 0.05
     small_gain: float = 0.2
-    hopeless: float = 6.0
+    hopeless: float = 3.0
     optimism: float = 2.0
     longest_step: float = 1.5
     differences: tuple[float, ...] = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
