@@ -253,11 +253,11 @@ class Learner:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
                 below = below or {(0, 0): white_point(likelihood, slow)}
                 was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
-                grown, lowest = growth.starts(below, p, q, math.inf if was_close else enough)
-                if not grown:
+                grown, lowest = growth.starts(below, p, q, 0.0 if was_close else 0.5 * math.log(n))
+                starts += grown
+                if not grown and (p, q, 1 - slow) not in fits:
                     unlikely[kind] = lowest + cost
                     continue
-                starts += grown
             if slow and (again or not known) and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
             if starts:

@@ -20,7 +20,7 @@ Order = tuple[int, int]
 #: ln sd of white noise in the scaled unit, in which differences are of the order of one.
 LOG_SDS = -np.arange(8.0)[:, None]
 # A pole or a zero more: time constants in ticks. With both, the zero raises S(0) by a factor.
-TAUS, FACTOR = (0.7, 1.5, 5.0, 16.0, 50.0), 12.0
+TAUS, FACTOR = np.geomspace(0.7, 90.0, 12), 12.0
 # A pair of each more: periods in ticks, cycles in which the oscillation decays, factor by which it raises its power.
 PERIODS, DECAYS, PEAK = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), 40.0
 # A slow part: of the prior's standard deviation, correlation times among its nodes.
@@ -98,26 +98,26 @@ class Growth:
             self._promised[point] = found
         return self._promised[point]
 
-    def starts(
-        self, below: Mapping[Order, Point], p: int, q: int, enough: float = math.inf
-    ) -> tuple[list[Array], float]:
+    def starts(self, below: Mapping[Order, Point], p: int, q: int, price: float = 0.0) -> tuple[list[Array], float]:
         """Of each number of poles and zeros more those that promise most, the best of them first, then the best
         estimate as it stands. And how low minus the log-likelihood may become: less by `EFFORT.optimism` times what one
-        of them should gain; where that is not `enough`, there are none.
+        of them should gain. There are none where that is less than the `price` of each pole and zero more, but for
+        `EFFORT.hopeless`.
 
         `below` are estimates of orders that may become (p, q), at least one.
         """
-        found, lowest = [], math.inf
+        found, lowest, pays = [], math.inf, False
         for more in _factors():
             lower = [k for k in below if k[0] + more[0] <= p and k[1] + more[1] <= q]
             if not lower:
                 continue
             best = min(lower, key=lambda k: below[k].value)
             fall, of = self.promised(below[best])[more]
-            gain = 0.5 * self.likelihood.n * fall
-            found.append((below[best].value - gain, best, more, of, fall))
-            lowest = min(lowest, below[best].value - EFFORT.optimism * max(gain, 0.0))
-        if lowest > enough:
+            gain = EFFORT.optimism * 0.5 * self.likelihood.n * max(fall, 0.0)
+            found.append((below[best].value - gain / EFFORT.optimism, best, more, of, fall))
+            lowest = min(lowest, below[best].value - gain)
+            pays = pays or gain + EFFORT.hopeless > price * (p + q - sum(best))
+        if not pays:
             return [], lowest
         starts = []
         for _, best, more, of, fall in sorted(found):

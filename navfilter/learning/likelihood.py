@@ -126,10 +126,13 @@ class Likelihood:
     def correlations(self, point: Point) -> Array:
         """Autocorrelations of the innovations at a point, shape (LAGS,)."""
         self.value(point.theta, point.p, point.slow)
-        z = self.innovations
-        z = np.where(np.isfinite(z), z, 0.0).clip(-CLIP, CLIP)
-        products = np.fft.irfft(np.abs(np.fft.rfft(z, (z.size // LAGS + 2) * LAGS)) ** 2)[:LAGS]
-        return np.asarray(products / products[0])
+        z, size = self.innovations, (self.y.size // LAGS + 2) * LAGS
+        known = np.isfinite(z)
+        both = np.array([np.where(known, z, 0.0).clip(-CLIP, CLIP), known])
+        products, pairs = np.fft.irfft(np.abs(np.fft.rfft(both, size)) ** 2)[:, :LAGS]
+        # missing ticks make pairs fewer, as the ends do, which damps what is known of few
+        shares = np.maximum(pairs / pairs[0], 1.0 / pairs[0]) / np.maximum(1.0 - np.arange(LAGS) / z.size, 1.0 / z.size)
+        return np.asarray(products / (products[0] * shares))
 
     def penalised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
         """What is minimised, of any number of models, shape (K,): minus the log-likelihood less the log-density of the

@@ -297,6 +297,7 @@ class _Look:
             bend, slope = (2.0 * value - below - above) / step**2, 0.5 * (above - below) / step
             self.best.value = max(self.best.value, value)
             if bend > 0.0 and value + EFFORT.optimism * 0.5 * slope**2 / bend < self.best.value - IMPOSSIBLE:
+                # no more is to be known of it
                 return Line(np.array([u]), np.maximum((yield from self.along([u])), -1e300), u, sd)
             if max(below, above) > value:
                 away = math.copysign(2.0 * step, above - below)
@@ -322,13 +323,14 @@ class _Look:
         return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
 
     def again(self, line: Line) -> Search:
-        """The line at the places of another one; looked for from its peak where these do not do."""
+        """The line at the places of another one; looked for from the highest where these do not do."""
         places = line.log_sd.tolist()
-        log = yield from self.at(*places)
-        top = log.index(max(log))
-        # the sum over places stands for the integral while the curve bends by less than this from one to the next
-        near = 0 < top < len(log) - 1 and log[top] - min(log[top - 1], log[top + 1]) < STEEPEST
-        if not (near and log[top] - max(log[0], log[-1]) > SHALLOWEST):
-            return (yield from self.line(line.peak, line.sd))
         evidence = yield from self.along(places)
-        return line._replace(evidence=np.maximum(evidence, -1e300))
+        log = [one + self.log_prior(place) for one, place in zip(evidence, places, strict=True)]
+        highest = max(log)
+        top, self.best.value = log.index(highest), max(self.best.value, highest)
+        # the sum over places stands for the integral while the curve bends by less than this from one to the next
+        near = 0 < top < len(log) - 1 and highest - min(log[top - 1], log[top + 1]) < STEEPEST
+        if near and highest - max(log[0], log[-1]) > SHALLOWEST:
+            return line._replace(evidence=np.maximum(evidence, -1e300))
+        return (yield from self.line(places[top], line.sd))
