@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import softmax
 
-from navfilter.learning.initial_values import Growth, white_point, with_slow_parts
+from navfilter.learning.initial_values import Growth, padded, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
 from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
@@ -254,10 +254,12 @@ class Learner:
                 below = below or {(0, 0): white_point(likelihood, slow)}
                 was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
                 grown, lowest = growth.starts(below, p, q, 0.0 if was_close else 0.5 * math.log(n))
-                starts += grown
-                if not grown and (p, q, 1 - slow) not in fits:
+                # one that is as good without a slow part may stand where that stands for a quick colour
+                alone = scores.get((p, q, 1 - slow), math.inf) <= best + EFFORT.hopeless
+                if not grown and not alone:
                     unlikely[kind] = lowest + cost
                     continue
+                starts += grown or padded(below, p, q)
             if slow and (again or not known) and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
             if starts:

@@ -99,10 +99,9 @@ class Growth:
         return self._promised[point]
 
     def starts(self, below: Mapping[Order, Point], p: int, q: int, price: float = 0.0) -> tuple[list[Array], float]:
-        """Of each number of poles and zeros more those that promise most, the best of them first, then the best
-        estimate as it stands. And how low minus the log-likelihood may become: less by `EFFORT.optimism` times what one
-        of them should gain. There are none where that is less than the `price` of each pole and zero more, but for
-        `EFFORT.hopeless`.
+        """Of each number of poles and zeros more those that promise most, the best of them first. And how low minus the
+        log-likelihood may become: less by `EFFORT.optimism` times what one of them should gain. There are none where
+        that is less than the `price` of each pole and zero more, but for `EFFORT.hopeless`.
 
         `below` are estimates of orders that may become (p, q), at least one.
         """
@@ -126,10 +125,13 @@ class Growth:
             theta = np.concatenate([poles, zeros, theta[at:]])
             theta[at + sum(more)] -= 0.5 * fall
             starts.append(padded_start(theta, poles.size, p, q, below[best].slow))
-        best = min(below, key=lambda k: below[k].value)
-        if not any(of == best for _, of, *_ in found):
-            starts.append(padded_start(below[best].theta, best[0], p, q, below[best].slow))
         return starts, lowest
+
+
+def padded(below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
+    """The best of several estimates as a start for a larger order."""
+    best = min(below, key=lambda k: below[k].value)
+    return [padded_start(below[best].theta, best[0], p, q, below[best].slow)]
 
 
 def _product(of: Array, by: Array) -> Array:
