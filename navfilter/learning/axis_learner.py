@@ -253,7 +253,8 @@ class Learner:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
                 below = below or {(0, 0): white_point(likelihood, slow)}
                 was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
-                grown, lowest = growth.starts(below, p, q, 0.0 if was_close else 0.5 * math.log(n))
+                at_least = 0.5 * math.log(n), math.inf if was_close else enough
+                grown, lowest = growth.starts(below, p, q, *at_least)
                 # one that is as good without a slow part may stand where that stands for a quick colour
                 alone = scores.get((p, q, 1 - slow), math.inf) <= best + EFFORT.hopeless
                 if not grown and not alone:

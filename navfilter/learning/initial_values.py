@@ -98,10 +98,12 @@ class Growth:
             self._promised[point] = found
         return self._promised[point]
 
-    def starts(self, below: Mapping[Order, Point], p: int, q: int, price: float = 0.0) -> tuple[list[Array], float]:
+    def starts(
+        self, below: Mapping[Order, Point], p: int, q: int, price: float = 0.0, enough: float = math.inf
+    ) -> tuple[list[Array], float]:
         """Of each number of poles and zeros more those that promise most, the best of them first. And how low minus the
-        log-likelihood may become: less by `EFFORT.optimism` times what one of them should gain. There are none where
-        that is less than the `price` of each pole and zero more, but for `EFFORT.hopeless`.
+        log-likelihood may become: less by `EFFORT.optimism` times what one of them should gain. There are none where no
+        gain is worth the `price` of each pole and zero more, nor may be `enough`.
 
         `below` are estimates of orders that may become (p, q), at least one.
         """
@@ -112,11 +114,11 @@ class Growth:
                 continue
             best = min(lower, key=lambda k: below[k].value)
             fall, of = self.promised(below[best])[more]
-            gain = EFFORT.optimism * 0.5 * self.likelihood.n * max(fall, 0.0)
-            found.append((below[best].value - gain / EFFORT.optimism, best, more, of, fall))
-            lowest = min(lowest, below[best].value - gain)
-            pays = pays or gain + EFFORT.hopeless > price * (p + q - sum(best))
-        if not pays:
+            gain, value = 0.5 * self.likelihood.n * max(fall, 0.0), below[best].value
+            found.append((value - gain, best, more, of, fall))
+            lowest = min(lowest, value - EFFORT.optimism * gain)
+            pays = pays or gain > price * (p + q - sum(best))
+        if not pays and lowest > enough:
             return [], lowest
         starts = []
         for _, best, more, of, fall in sorted(found):
