@@ -125,7 +125,7 @@ def fit_channel(
     y = tidy_series(series, 10 + 3 * (p + q) + drift.order, "fit_channel", gaps=True)
     likelihood = Likelihood(y, drift, white)
     if start is None:
-        # by a pole and a zero more from order to order: a slow part that a lower one leaves out is hardly found otherwise
+        # by a pole and a zero more each: a slow part that a lower order leaves out is hardly found otherwise
         below, growth = {(0, 0): white_point(likelihood)}, Growth(likelihood)
         for order in [(min(k, p), min(k, q)) for k in range(1, max(p, q) + 1)]:
             starts = growth.starts(below, *order)[0]

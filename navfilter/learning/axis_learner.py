@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import softmax
 
 from navfilter.learning.initial_values import Growth, padded, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
@@ -22,7 +21,6 @@ from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
-from navfilter.timeseries.order_criterion import criterion
 
 __all__ = ["LearnerMemory"]
 
@@ -198,7 +196,8 @@ class Learner:
         the other is not by `LEAST_WEIGHT`.
         """
         best = _best_of_each(scores)
-        weights = softmax([-scores[kind] for kind in best]).tolist()
+        odds = np.exp(min(scores[kind] for kind in best) - np.array([scores[kind] for kind in best]))
+        weights = (odds / odds.sum()).tolist()
         if min(weights) < LEAST_WEIGHT:
             return {best[int(np.argmax(weights))]: 1.0}
         return dict(zip(best, weights, strict=True))
@@ -225,12 +224,12 @@ class Learner:
         confined: Array = likelihood.confine([theta], p, slow)[0]
         return confined
 
-    def _score(self, likelihood: Likelihood, point: Point, n: int) -> float:
+    def _score(self, likelihood: Likelihood, point: Point, n: int) -> tuple[float, float]:
         """Minus the log of how probable it is beforehand and makes the readings: the fast part by half of BIC, the
-        slow one integrated out.
+        slow one integrated out; and what that makes of it.
         """
-        fast = point.theta.size - 2 * bool(point.slow)
-        return point.value + 0.5 * criterion("bic", 0.0, fast, n) - log_share(likelihood, point)
+        share = log_share(likelihood, point)
+        return point.value + _price(point.theta.size - 2 * bool(point.slow), n) - share, share
 
     def _fits(
         self, likelihood: Likelihood, able: list[Kind], n: int, again: bool
@@ -245,7 +244,7 @@ class Learner:
         for p, q, slow in self._ration(able):
             kind = p, q, slow
             # what it costs to be larger, and a slow part, comes off what an order may be worth
-            cost = 0.5 * criterion("bic", 0.0, p + q + 1, n) - shares[slow]
+            cost = _price(p + q + 1, n) - shares[slow]
             enough = best + EFFORT.hopeless - cost
             known = kind in memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
@@ -270,8 +269,8 @@ class Learner:
                 point = white_point(likelihood, slow)
             if _is_usable(point):
                 fits[kind] = point
-                scores[kind] = self._score(likelihood, point, n)
-                best, shares[slow] = min(best, scores[kind]), log_share(likelihood, point)
+                scores[kind], shares[slow] = self._score(likelihood, point, n)
+                best = min(best, scores[kind])
         return fits, scores, unlikely
 
     def _ration(self, able: list[Kind]) -> list[Kind]:
@@ -305,7 +304,7 @@ class Learner:
         (p, q), start = starts[int(np.argmin(values))]
         point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
         if _is_usable(point):
-            fits[p, q, 2], scores[p, q, 2] = point, self._score(likelihood, point, n)
+            fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point, n)
 
     def _keep(
         self,
@@ -328,6 +327,11 @@ class Learner:
         lines = _lines(chosen, found)
         grown = heard if again else memory.grown
         self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
+
+
+def _price(parameters: int, n: int) -> float:
+    """Half of what so many cost by BIC, in its form for small samples (McQuarrie 1999)."""
+    return 0.5 * parameters * math.log(n) * n / (n - parameters - 2)
 
 
 def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:

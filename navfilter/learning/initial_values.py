@@ -1,5 +1,5 @@
-"""Where the channel likelihood's maximisation begins: at lower orders with poles and zeros more, those that best explain
-what these leave, as far as it is not white.
+"""Where the channel likelihood's maximisation begins: at lower orders with poles and zeros more, those that best
+explain what these leave, as far as it is not white.
 """
 
 from __future__ import annotations
