@@ -26,7 +26,7 @@ from harness import DEG, Array, Options, Table, flag, main, quick
 from heading_toy import GYROS, RATE_HZ, noises, scaled
 
 import navfilter as nf
-from navfilter.learning.initial_values import cold_starts, with_slow_parts
+from navfilter.learning.initial_values import grown_point, with_slow_parts
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.slow_prior import slow_prior
 from navfilter.models.navigation_drift import Drift
@@ -85,7 +85,7 @@ def fitted(likelihood: Likelihood, order: tuple[int, int], before: Array | None)
     """The joint fit of a window; from the last one where there is one, in the unit of the series."""
     p, q = order
     if before is None:
-        return maximise(likelihood, with_slow_parts(likelihood, cold_starts(likelihood, p, q), p), p, 20, 1)
+        return maximise(likelihood, with_slow_parts(likelihood, [grown_point(likelihood, p, q, 8).theta], p), p, 20, 1)
     return maximise(likelihood, [moved(before, likelihood.log_unit)], p, 8, 1)
 
 

@@ -15,9 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.learning.initial_values import Growth, padded_start, white_point
+from navfilter.learning.initial_values import grown_point, padded_start
 from navfilter.learning.likelihood import Likelihood, Point, maximise
-from navfilter.learning.settings import EFFORT
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import CLIP
 from navfilter.timeseries.diagnostics import whiteness
@@ -125,12 +124,7 @@ def fit_channel(
     y = tidy_series(series, 10 + 3 * (p + q) + drift.order, "fit_channel", gaps=True)
     likelihood = Likelihood(y, drift, white)
     if start is None:
-        # by a pole and a zero more each: a slow part that a lower order leaves out is hardly found otherwise
-        below, growth = {(0, 0): white_point(likelihood)}, Growth(likelihood)
-        for order in [(min(k, p), min(k, q)) for k in range(1, max(p, q) + 1)]:
-            starts = growth.starts(below, *order)[0]
-            below[order] = maximise(likelihood, starts, order[0], passes if order == (p, q) else EFFORT.below_passes)
-        point = below[p, q]
+        point = grown_point(likelihood, p, q, passes)
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:

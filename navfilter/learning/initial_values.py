@@ -130,6 +130,15 @@ class Growth:
         return starts, lowest
 
 
+def grown_point(likelihood: Likelihood, p: int, q: int, passes: int) -> Point:
+    """The best estimate of one order, without a slow part: by a pole and a zero more from order to order."""
+    below, growth = {(0, 0): white_point(likelihood)}, Growth(likelihood)
+    for order in [(min(k, p), min(k, q)) for k in range(1, max(p, q) + 1)]:
+        starts, _ = growth.starts(below, *order)
+        below[order] = maximise(likelihood, starts, order[0], passes if order == (p, q) else EFFORT.below_passes)
+    return below[p, q]
+
+
 def padded(below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
     """The best of several estimates as a start for a larger order."""
     best = min(below, key=lambda k: below[k].value)

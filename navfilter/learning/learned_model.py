@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 #: Middles of nine equally probable parts of a distribution: the outer ones are its 5 and 95 %; and of a standard normal
 #: one.
-PARTS = (np.arange(9) + 0.5) / 9.0
-ALIKE = ndtri(PARTS)
+EQUAL = (np.arange(9) + 0.5) / 9.0
+ALIKE = ndtri(EQUAL)
 
 
 class LearnedModel(NamedTuple):
@@ -97,5 +97,5 @@ def _densities(likelihood: Likelihood, found: Found, model: ArmaModel, frequency
     if posterior is None:
         return fast, np.full(len(ALIKE), 1.0 / len(ALIKE))
     slow = slow_psd(posterior.order, np.exp(posterior.log_sd), posterior.tau_s, frequency)
-    both = (fast[:, None] + quantiles(slow, posterior.weight, PARTS)[None]).reshape(-1, frequency.size)
+    both = (fast[:, None] + quantiles(slow, posterior.weight, EQUAL)[None]).reshape(-1, frequency.size)
     return both, np.full(len(both), 1.0 / len(both))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 #: A logarithm that is known no better than this is not known: at a notch first order says anything.
@@ -45,7 +44,7 @@ class Spectrum:
         return cls(tuple(frequency_hz.tolist()), low, median, high, spread)
 
 
-def quantiles(density: Array, weight: Array, shares: Sequence[float]) -> Array:
+def quantiles(density: Array, weight: Array, shares: ArrayLike) -> Array:
     """Of each column of an array, shape (n, columns), those below which these shares of the weights lie, which together
     are one; shape (shares, columns).
     """
