@@ -7,8 +7,8 @@ import pytest
 
 from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
+from navfilter.filter.input_buffer import PIECE, InputBuffer, Rows
 from navfilter.foundation.state_values import from_arrays, to_arrays
-from navfilter.learning.input_buffer import PIECE, InputBuffer, Rows
 
 NAMES = ("compass", "dvl", "gps")
 

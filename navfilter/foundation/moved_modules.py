@@ -51,8 +51,9 @@ kernels.batch, kernels.text kernels.number_text, known_calls kernels.compiling.t
 models.lane_clock, lane_missions models.lane_missions, lane_replay navigation.lanes.replay, lane_tracks
 navigation.lanes.tracks, lanes navigation.lanes.navigator, learning.belief
 learning.setup, learning.bias learning.model_reduction, learning.drift
-models.navigation_drift, learning.effort learning.settings, learning.fit learning.arma_fit, learning.kept
-learning.input_buffer, learning.learned models.learned_arma, learning.learner learning.axis_learner, learning.learnt
+models.navigation_drift, learning.effort learning.settings, learning.fit learning.arma_fit, learning.input_buffer
+filter.input_buffer, learning.kept filter.input_buffer, learning.learned models.learned_arma,
+learning.learner learning.axis_learner, learning.learnt
 learning.learned_model, learning.limits models.window_limits, learning.listener learning.open_loop_series,
 learning.listener_memory learning.series_memory, learning.low_frequency learning.arma_fit, learning.nearest
 learning.moment_matching, learning.posterior learning.slow_posterior,

@@ -627,7 +627,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     hand (HAND, 3): where arrays stand, their rows and columns, in the order in which they are taken here. facts:
     see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `record_residual`; places:
     `kalman.memory_offsets`; figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept,
-    see `navfilter.learning.input_buffer`, and how many samples, readings (-1: none are kept here) and values these are.
+    see `navfilter.filter.input_buffer`, and how many samples, readings (-1: none are kept here) and values these are.
     z: what arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is older.
     The others are those of `correction`.
     """

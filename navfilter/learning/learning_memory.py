@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.input_buffer import InputBuffer
 from navfilter.filter.model_change import Change
-from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestMemory
 

@@ -20,13 +20,13 @@ from navfilter.filter.events import (
     SamplesUsed,
     StateTransformed,
 )
+from navfilter.filter.input_buffer import InputBuffer
 from navfilter.filter.model_change import Change, adoption
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import open_loop_residual
 from navfilter.kernels.batch import STUCK_S
 from navfilter.learning.background import Worker
-from navfilter.learning.input_buffer import InputBuffer
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest, relaid
 from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopSeries
 from navfilter.learning.series_memory import OpenLoopMemory

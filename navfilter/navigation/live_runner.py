@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.events import Measurement, Outcome
+from navfilter.filter.input_buffer import PIECE
 from navfilter.kernels import batch, open_loop_residual, strapdown
-from navfilter.learning.input_buffer import PIECE
 from navfilter.learning.schedule import UNHEARD
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.learning.input_buffer import InputBuffer
+    from navfilter.filter.input_buffer import InputBuffer
     from navfilter.navigation.run import Run
 
 Array = NDArray[np.float64]

@@ -15,12 +15,12 @@ from navfilter.faults.imu import bias_drift
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
+from navfilter.filter.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, InputBuffer
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import open_loop_residual, strapdown
-from navfilter.learning.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, InputBuffer
 from navfilter.navigation.measurements import MeasurementSequence
 from navfilter.navigation.run import Run
 
