@@ -27,6 +27,8 @@ __all__ = ["LearnerMemory"]
 Array = NDArray[np.float64]
 #: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).
 LEAST_WEIGHT = 0.1
+#: Information on a coefficient beforehand [1] (derived: that of a Gaussian as high as what is uniform from -1 to 1).
+BEFOREHAND = 0.5 * math.pi
 
 
 class AxisFit(NamedTuple):
@@ -50,7 +52,7 @@ class Learner:
     """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
 
     The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
-    without; orders are weighed by BIC, with the slow part integrated out. Beside the likeliest ones the slow part has a
+    without; orders are weighed by their evidence. Beside the likeliest ones the slow part has a
     posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
     covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window
     says; of earlier ones only the estimates are known, from which it begins.
@@ -224,12 +226,13 @@ class Learner:
         confined: Array = likelihood.confine([theta], p, slow)[0]
         return confined
 
-    def _score(self, likelihood: Likelihood, point: Point, n: int) -> tuple[float, float]:
-        """Minus the log of how probable it is beforehand and makes the readings: the fast part by half of BIC, the
-        slow one integrated out; and what that makes of it.
+    def _score(self, likelihood: Likelihood, point: Point) -> tuple[float, float]:
+        """Minus the log of how probable it is beforehand and makes the readings: fast and slow part are integrated out
+        (Laplace's approximation). And what the slow one makes of it.
         """
-        share = log_share(likelihood, point)
-        return point.value + _price(point.theta.size - 2 * bool(point.slow), n) - share, share
+        k, share = point.theta.size - 2 * bool(point.slow), log_share(likelihood, point)
+        _, volume = np.linalg.slogdet(np.eye(k) + point.info[:k, :k] / BEFOREHAND)
+        return point.value + 0.5 * float(volume) - share, share
 
     def _fits(
         self, likelihood: Likelihood, able: list[Kind], n: int, again: bool
@@ -244,7 +247,8 @@ class Learner:
         for p, q, slow in self._ration(able):
             kind = p, q, slow
             # what it costs to be larger, and a slow part, comes off what an order may be worth
-            cost = _price(p + q + 1, n) - shares[slow]
+            price = 0.5 * math.log1p(n / BEFOREHAND)
+            cost = price * (p + q + 1) - shares[slow]
             enough = best + EFFORT.hopeless - cost
             known = kind in memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
@@ -252,7 +256,7 @@ class Learner:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
                 below = below or {(0, 0): white_point(likelihood, slow)}
                 was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
-                at_least = 0.5 * math.log(n), math.inf if was_close else enough
+                at_least = price, math.inf if was_close else enough
                 grown, lowest = growth.starts(below, p, q, *at_least)
                 # one that is as good without a slow part may stand where that stands for a quick colour
                 alone = scores.get((p, q, 1 - slow), math.inf) <= best + EFFORT.hopeless
@@ -269,7 +273,7 @@ class Learner:
                 point = white_point(likelihood, slow)
             if _is_usable(point):
                 fits[kind] = point
-                scores[kind], shares[slow] = self._score(likelihood, point, n)
+                scores[kind], shares[slow] = self._score(likelihood, point)
                 best = min(best, scores[kind])
         return fits, scores, unlikely
 
@@ -304,7 +308,7 @@ class Learner:
         (p, q), start = starts[int(np.argmin(values))]
         point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
         if _is_usable(point):
-            fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point, n)
+            fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point)
 
     def _keep(
         self,
@@ -327,11 +331,6 @@ class Learner:
         lines = _lines(chosen, found)
         grown = heard if again else memory.grown
         self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
-
-
-def _price(parameters: int, n: int) -> float:
-    """Half of what so many cost by BIC, in its form for small samples (McQuarrie 1999)."""
-    return 0.5 * parameters * math.log(n) * n / (n - parameters - 2)
 
 
 def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:

@@ -19,10 +19,10 @@ Order = tuple[int, int]
 
 #: ln sd of white noise in the scaled unit, in which differences are of the order of one.
 LOG_SDS = -np.arange(8.0)[:, None]
-# A pole or a zero more: time constants in ticks. With both, the zero raises S(0) by a factor.
-TAUS, FACTOR = np.geomspace(0.7, 90.0, 12), 12.0
-# A pair of each more: periods in ticks, cycles in which the oscillation decays, factor by which it raises its power.
-PERIODS, DECAYS, PEAK = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), 40.0
+# A pole or a zero more: time constants in ticks. With both, the zero raises S(0) by these factors.
+TAUS, FACTORS = np.geomspace(0.25, 90.0, 14), (1.5, 4.0, 12.0)
+# A pair of each more: periods in ticks, cycles in which the oscillation decays, factors by which it raises its power.
+PERIODS, DECAYS, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (1.5, 8.0, 40.0)
 # A slow part: of the prior's standard deviation, correlation times among its nodes.
 SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 
@@ -32,13 +32,14 @@ def _factors() -> dict[Order, tuple[Array, Array, Array]]:
     """By how many poles and zeros more: polynomials of both, one pair a row, and what the variance of a series becomes
     that they whiten, as a product with its autocorrelations, shape (n, LAGS).
     """
-    pole = np.exp(-1.0 / np.array(TAUS))[:, None]
-    one, none = np.concatenate([-pole, pole]), np.empty((2 * pole.size, 0))
-    period, cycles = (a.ravel() for a in np.meshgrid(PERIODS, DECAYS, indexing="ij"))
+    one = np.exp(-1.0 / TAUS)[:, None]
+    one, none = np.concatenate([-one, one]), np.empty((2 * one.size, 0))
+    pole, root = (a.reshape(-1, 1) for a in np.meshgrid(np.exp(-1.0 / TAUS), np.sqrt(FACTORS)))
+    bump = -np.maximum(1.0 - root * (1.0 - pole), -0.5)
+    period, cycles, root = (a.ravel() for a in np.meshgrid(PERIODS, DECAYS, np.sqrt(PEAKS)))
     turn, radius = 2.0 * np.cos(2.0 * np.pi / period), np.exp(-1.0 / (cycles * period))
-    inner = np.maximum(1.0 - (1.0 - radius) * math.sqrt(PEAK), 0.2)
+    inner = np.maximum(1.0 - (1.0 - radius) * root, 0.2)
     outer, within = (np.stack([-turn * size, size**2], axis=1) for size in (radius, inner))
-    bump = -np.maximum(1.0 - math.sqrt(FACTOR) * (1.0 - pole), -0.5)
     shapes = {(1, 0): (one, none), (0, 1): (none, 0.9 * one), (1, 1): (-pole, bump), (2, 2): (outer, within)}
     return {more: (ar, ma, _whitened(ar, ma)) for more, (ar, ma) in shapes.items()}
 
