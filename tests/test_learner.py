@@ -5,11 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from test_channel import DEG, MEMS, PERIOD_S, TACTICAL, gauss_markov, series
 
 from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.axis_learner import Learner, LearnerMemory
+from navfilter.learning.initial_values import Growth, white_point
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.moment_matching import slow_psd
 from navfilter.learning.open_loop_series import without_spikes
@@ -124,6 +126,43 @@ def test_a_slow_part_does_not_stand_for_a_quick_error(seed):
     assert kind[:2] == (1, 0) and weight > 0.9
     tau_s = -PERIOD_S / math.log(-learner.memory.thetas[kind][0])
     assert tau_s == pytest.approx(6.0, rel=0.35)
+
+
+@pytest.mark.parametrize(("ar", "missing"), [(-0.08, 0.0), (-0.5, 0.0), (-0.5, 0.3), (0.6, 0.1)])
+def test_a_pole_more_gains_what_the_innovations_promise(ar, missing):
+    random = np.random.default_rng(27)
+    y = lfilter([1.0], [1.0, ar], random.standard_normal(4000))
+    y[random.random(4000) < missing] = np.nan
+    likelihood = Likelihood(y, Drift((), PERIOD_S), 0.0)
+    white, growth = white_point(likelihood), Growth(likelihood)
+    starts, lowest = growth.starts({(0, 0): white}, 1, 0)
+    gained = white.value - maximise(likelihood, starts, 1, 20).value
+    promised = 0.5 * likelihood.n * growth.promised(white)[1, 0][0]
+    # what is promised is that of a series without gaps, with as many readings
+    assert 0.8 * gained < promised + 1.0 < 1.5 * gained + 2.0
+    assert lowest < white.value - gained
+
+
+def test_what_promises_nothing_is_not_begun():
+    likelihood = Likelihood(np.random.default_rng(28).standard_normal(4000), Drift((), PERIOD_S), 0.0)
+    white, growth = white_point(likelihood), Growth(likelihood)
+    assert growth.starts({(0, 0): white}, 2, 2, 4.0, white.value - 10.0)[0] == []
+    assert len(growth.starts({(0, 0): white}, 2, 2, 4.0)[0]) == 4
+
+
+@pytest.mark.parametrize("ar", [-0.05, -0.6, 0.9])
+def test_an_order_is_weighed_by_the_integral_over_its_coefficients(ar):
+    """A coefficient that is uniform between -1 and 1 beforehand, against white noise, both of any size."""
+    y = lfilter([1.0], [1.0, ar], np.random.default_rng(29).standard_normal(400))
+    likelihood, learner = Likelihood(y, Drift((), PERIOD_S), 0.0), Learner(ORDERS, 400, Drift((), PERIOD_S))
+    white = white_point(likelihood)
+    coloured = maximise(likelihood, [np.r_[ar, white.theta]], 1, 20)
+    sizes, coefficients = coloured.theta[-1] + np.linspace(-0.3, 0.3, 61), np.linspace(-0.995, 0.995, 399)
+    alone = np.exp(white.value - likelihood.penalised((white.theta[-1] + sizes - sizes[30])[:, None], 0)).mean()
+    both = np.exp(coloured.value - likelihood.penalised([[a, u] for a in coefficients for u in sizes], 1)).mean()
+    found = learner._score(likelihood, white)[0] - learner._score(likelihood, coloured)[0]
+    expected = white.value - coloured.value + math.log(both / alone)
+    assert found == pytest.approx(expected, abs=0.4)
 
 
 def test_white_noise_and_colour_are_both_weighed_at_every_hop(monkeypatch):

@@ -32,7 +32,7 @@ class OptimiserSettings:
         After a step that gains less, derivatives are not taken again: readings alone scatter an estimate by half a unit
         of log-likelihood for each parameter.
     hopeless : float
-        An order that should stay so far behind the best (half of BIC) is not fitted, or not improved: twenty to one,
+        An order that should stay so far behind the best, as a logarithm, is not fitted, or not improved: twenty to one,
         and it would not count.
     optimism : float
         What an order may gain, of what its slope says: the curvature beside it is that of other places.
