@@ -33,6 +33,7 @@ NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 KIND, NOTED, CAPACITY, DUE, ANOTHER, LEVEL, ODDS = range(7)
 # An error may be so many times as large as its model, as a variance [1]: by twos, up to eight times the sd.
 LEVELS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+LOG_LEVELS = tuple(math.log(level) for level in LEVELS)
 MOUNT = ODDS + len(LEVELS)
 # First in a `mount`, before the rows that turn the body's axes to the instrument's: a velocity below which nothing is
 # learnt [m/s], how long a reading waits [s], which of the sensor's parameters is its clock (-1: none), rows of the
@@ -67,10 +68,10 @@ def judge_level(ear, nis, dof):
     largest, total = -math.inf, 0.0
     seen = ear[LEVEL] * min(nis, MOST[min(int(dof), len(MOST)) - 1])
     for k in range(len(LEVELS)):
-        largest = max(largest, -0.5 * (dof * math.log(LEVELS[k]) + seen / LEVELS[k]))
+        largest = max(largest, -0.5 * (dof * LOG_LEVELS[k] + seen / LEVELS[k]))
     for k in range(len(LEVELS)):
         before = (1.0 - CHANGES) * ear[ODDS + k] + CHANGES / len(LEVELS)
-        ear[ODDS + k] = before * math.exp(-0.5 * (dof * math.log(LEVELS[k]) + seen / LEVELS[k]) - largest)
+        ear[ODDS + k] = before * math.exp(-0.5 * (dof * LOG_LEVELS[k] + seen / LEVELS[k]) - largest)
         total += ear[ODDS + k]
     for k in range(len(LEVELS)):
         ear[ODDS + k] /= total
