@@ -160,7 +160,7 @@ def test_an_order_is_weighed_by_the_integral_over_its_coefficients(ar):
     sizes, coefficients = coloured.theta[-1] + np.linspace(-0.3, 0.3, 61), np.linspace(-0.995, 0.995, 399)
     alone = np.exp(white.value - likelihood.penalised((white.theta[-1] + sizes - sizes[30])[:, None], 0)).mean()
     both = np.exp(coloured.value - likelihood.penalised([[a, u] for a in coefficients for u in sizes], 1)).mean()
-    found = learner._score(likelihood, white)[0] - learner._score(likelihood, coloured)[0]
+    found = learner._score(likelihood, white, 400)[0] - learner._score(likelihood, coloured, 400)[0]
     expected = white.value - coloured.value + math.log(both / alone)
     assert found == pytest.approx(expected, abs=0.4)
 

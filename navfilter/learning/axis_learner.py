@@ -27,8 +27,9 @@ __all__ = ["LearnerMemory"]
 Array = NDArray[np.float64]
 #: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).
 LEAST_WEIGHT = 0.1
-#: Information on a coefficient beforehand [1] (derived: that of a Gaussian as high as what is uniform from -1 to 1).
-BEFOREHAND = 0.5 * math.pi
+#: What information on a coefficient is worth nothing [1]
+#: (derived: with it one of white noise costs what it does that is uniform from -1 to 1 beforehand).
+BEFOREHAND = math.pi
 
 
 class AxisFit(NamedTuple):
@@ -226,12 +227,13 @@ class Learner:
         confined: Array = likelihood.confine([theta], p, slow)[0]
         return confined
 
-    def _score(self, likelihood: Likelihood, point: Point) -> tuple[float, float]:
+    def _score(self, likelihood: Likelihood, point: Point, n: int) -> tuple[float, float]:
         """Minus the log of how probable it is beforehand and makes the readings: fast and slow part are integrated out
-        (Laplace's approximation). And what the slow one makes of it.
+        (Laplace's approximation). And what the slow one makes of it. A pole that a zero nearly cancels may stand
+        anywhere, and the best of many places is no evidence: no coefficient costs less than one of white noise does.
         """
         k, share = point.theta.size - 2 * bool(point.slow), log_share(likelihood, point)
-        _, volume = np.linalg.slogdet(np.eye(k) + point.info[:k, :k] / BEFOREHAND)
+        _, volume = np.linalg.slogdet((n * np.eye(k) + point.info[:k, :k]) / BEFOREHAND)
         return point.value + 0.5 * float(volume) - share, share
 
     def _fits(
@@ -247,7 +249,7 @@ class Learner:
         for p, q, slow in self._ration(able):
             kind = p, q, slow
             # what it costs to be larger, and a slow part, comes off what an order may be worth
-            price = 0.5 * math.log1p(n / BEFOREHAND)
+            price = 0.5 * math.log(2.0 * n / BEFOREHAND)
             cost = price * (p + q + 1) - shares[slow]
             enough = best + EFFORT.hopeless - cost
             known = kind in memory.thetas
@@ -273,7 +275,7 @@ class Learner:
                 point = white_point(likelihood, slow)
             if _is_usable(point):
                 fits[kind] = point
-                scores[kind], shares[slow] = self._score(likelihood, point)
+                scores[kind], shares[slow] = self._score(likelihood, point, n)
                 best = min(best, scores[kind])
         return fits, scores, unlikely
 
@@ -308,7 +310,7 @@ class Learner:
         (p, q), start = starts[int(np.argmin(values))]
         point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
         if _is_usable(point):
-            fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point)
+            fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point, n)
 
     def _keep(
         self,
