@@ -32,9 +32,9 @@ def _factors() -> dict[Order, tuple[Array, Array, Array]]:
     """By how many poles and zeros more: polynomials of both, one pair a row, and what the variance of a series becomes
     that they whiten, as a product with its autocorrelations, shape (n, LAGS).
     """
-    one = np.exp(-1.0 / TAUS)[:, None]
-    one, none = np.concatenate([-one, one]), np.empty((2 * one.size, 0))
-    pole, root = (a.reshape(-1, 1) for a in np.meshgrid(np.exp(-1.0 / TAUS), np.sqrt(FACTORS)))
+    slow = np.exp(-1.0 / TAUS)
+    one, none = np.concatenate([-slow, slow])[:, None], np.empty((2 * slow.size, 0))
+    pole, root = (a.reshape(-1, 1) for a in np.meshgrid(slow, np.sqrt(FACTORS)))
     bump = -np.maximum(1.0 - root * (1.0 - pole), -0.5)
     period, cycles, root = (a.ravel() for a in np.meshgrid(PERIODS, DECAYS, np.sqrt(PEAKS)))
     turn, radius = 2.0 * np.cos(2.0 * np.pi / period), np.exp(-1.0 / (cycles * period))
