@@ -34,8 +34,8 @@ def _factors() -> dict[Order, tuple[Array, Array, Array]]:
     """
     slow = np.exp(-1.0 / TAUS)
     one, none = np.concatenate([-slow, slow])[:, None], np.empty((2 * slow.size, 0))
-    pole, root = (a.reshape(-1, 1) for a in np.meshgrid(slow, np.sqrt(FACTORS)))
-    bump = -np.maximum(1.0 - root * (1.0 - pole), -0.5)
+    pole, rise = (a.reshape(-1, 1) for a in np.meshgrid(slow, np.sqrt(FACTORS)))
+    bump = -np.maximum(1.0 - rise * (1.0 - pole), -0.5)
     period, cycles, root = (a.ravel() for a in np.meshgrid(PERIODS, DECAYS, np.sqrt(PEAKS)))
     turn, radius = 2.0 * np.cos(2.0 * np.pi / period), np.exp(-1.0 / (cycles * period))
     inner = np.maximum(1.0 - (1.0 - radius) * root, 0.2)
