@@ -12,7 +12,7 @@ from navfilter.kernels.arma_likelihood import LANES, slow_part
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.moment_matching import nearest, slow_psd
 from navfilter.learning.slow_posterior import log_share, slow_posterior
-from navfilter.learning.slow_prior import SlowNode, SlowPrior, slow_prior
+from navfilter.learning.slow_prior import SlowPrior, slow_prior
 from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.spectrum import Spectrum, log_spread
@@ -145,7 +145,7 @@ def covariance(node, n, period_s):
     return node.sd**2 * np.exp(-t) * (1.0 + t if node.order == 2 else 1.0)
 
 
-@pytest.mark.parametrize("node", [SlowNode(1, 0.8, 12.0), SlowNode(2, 0.8, 12.0), SlowNode(2, 0.05, 600.0)])
+@pytest.mark.parametrize("node", [GaussMarkov(0.8, 12.0), GaussMarkov(0.8, 12.0, 2), GaussMarkov(0.05, 600.0, 2)])
 @pytest.mark.parametrize(("ar", "ma"), [([], []), ([-0.7], [0.2]), ([-1.2, 0.5], [])])
 @pytest.mark.parametrize("drift", [Drift((), PERIOD_S), Drift((0.3, 0.05), PERIOD_S)])
 def test_a_likelihood_with_a_slow_part_is_the_dense_gaussian(node, ar, ma, drift):

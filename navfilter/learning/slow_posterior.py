@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_prior import SlowNode, SlowPrior
+from navfilter.learning.slow_prior import SlowPrior
 
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
@@ -85,12 +85,6 @@ class SlowPosterior:
     log_sd: Array
     weight: Array
     moments: Array
-
-    @property
-    def mode(self) -> SlowNode:
-        """The most probable node."""
-        best = int(np.argmax(self.weight))
-        return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
 
 
 def log_share(likelihood: Likelihood, point: Point) -> float:
@@ -203,7 +197,7 @@ def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array
     begins = np.concatenate([[0], np.cumsum(sizes)])
     log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
     log_tau = np.repeat(np.log(prior.taus_s)[number], sizes)
-    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau)
+    log = evidence + prior.log_density(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau)
     tops = np.maximum.reduceat(log, begins[:-1])
     shares = np.exp(log - np.repeat(tops, sizes))
     totals = np.add.reduceat(shares, begins[:-1])
@@ -262,7 +256,7 @@ class _Look:
         self.low, self.high = (math.log(limit) for limit in prior.sd_limits)
         self.centre, self.spread = prior.centre[0], prior.spread
         self.log_tau, self.best = log_tau, best
-        self.most = prior.log_density(order, self.centre, self.log_tau)
+        self.most = float(prior.log_density(order, self.centre, self.log_tau))
 
     def along(self, places: list[float]) -> Generator[list[float], list[float], list[float]]:
         """The evidence at these places; what is not yet known is measured together."""

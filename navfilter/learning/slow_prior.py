@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +23,6 @@ Array = NDArray[np.float64]
 SLOWER = 2.0
 #: Probability that there is no slow error beside quick ones or white noise, where none is described [1].
 UNDESCRIBED = 0.95
-
-
-class SlowNode(NamedTuple):
-    """A Gauss-Markov process of first or second order: its standard deviation [unit] and correlation time [s]."""
-
-    order: int
-    sd: float
-    tau_s: float
 
 
 @dataclass(frozen=True)
@@ -87,16 +78,11 @@ class SlowPrior:
         """No slow error is smaller or larger than this [unit]."""
         return 0.01 * self.sd, 30.0 * self.sd
 
-    def log_density(self, order: int, log_sd: float, log_tau: float) -> float:
-        """Of one node, but for a constant."""
-        off, off_tau = self.offsets(log_sd, log_tau)
-        return self.log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
-
-    def log_densities(self, order: NDArray[np.int64], log_sd: Array, log_tau: Array) -> Array:
-        """Of several nodes, but for a constant, shape (K,)."""
+    def log_density(self, order: NDArray[np.int64] | int, log_sd: Array | float, log_tau: Array | float) -> Array:
+        """Of one node or several, but for a constant, shape (K,)."""
         centre, centre_tau = self.centre
         off, off_tau = (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
-        return np.array(self.log_share)[order - 1] - 0.5 * (off * off + off_tau * off_tau)
+        return np.asarray(np.array(self.log_share)[order - 1] - 0.5 * (off * off + off_tau * off_tau))
 
     @cached_property
     def log_share(self) -> tuple[float, float]:
@@ -113,11 +99,6 @@ class SlowPrior:
         """Of all nodes, with the constant that `log_density` is without."""
         off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
         return math.log(math.sqrt(2.0 * math.pi) * self.spread * float(np.exp(-0.5 * off**2).sum()))
-
-    def offsets(self, log_sd: float, log_tau: float) -> tuple[float, float]:
-        """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""
-        centre, centre_tau = self.centre
-        return (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
 
 
 def described_blocks(model: ErrorModel, period_s: float) -> tuple[Block, ...]:
