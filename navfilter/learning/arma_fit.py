@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,17 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.learning.initial_values import grown_point, padded_start
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.models.navigation_drift import Drift
-from navfilter.models.window_limits import CLIP
-from navfilter.timeseries.diagnostics import whiteness
 from navfilter.timeseries.initial_values import tidy_series
 from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.order_criterion import Choice
-from navfilter.timeseries.roots import is_stable
+from navfilter.timeseries.order_criterion import criterion
 
 Array = NDArray[np.float64]
-
-#: What a channel's fit is judged by: as in `ArmaBank`.
-CHANNEL_CHOICE = Choice()
 
 
 def zero_frequency(model: ArmaModel) -> float:
@@ -55,8 +48,6 @@ class ChannelFit:
         Log-likelihood, the diffuse start integrated out.
     bic : float
         ``-2 loglik + (p + q + 1) ln n``.
-    innovations : ndarray, shape (N,)
-        Standardised; NaN where a sample is missing or belongs to a diffuse start.
     n : int
         Innovations that count.
     """
@@ -64,13 +55,7 @@ class ChannelFit:
     model: ArmaModel
     loglik: float
     bic: float
-    innovations: Array
     n: int
-
-    @cached_property
-    def is_white(self) -> bool:
-        """Whether the innovations are white: Ljung-Box and cumulative periodogram together at 1 %."""
-        return _is_white(self.innovations, self.model.p + self.model.q)
 
 
 def fit_channel(
@@ -139,12 +124,9 @@ def theta_of(model: ArmaModel, likelihood: Likelihood) -> Array:
 
 def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
     """What a maximum says, in the units of the series."""
-    p, theta = point.p, point.theta
+    p, theta, covariance = point.p, point.theta, point.covariance
     value = likelihood.value(theta, p)
-    z = likelihood.innovations
-    n = int(np.isfinite(z).sum())
-    covariance = point.covariance
-    flags = frozenset({"capped"}) if at_cap(likelihood, theta[:p]) else frozenset()
+    n = int(np.isfinite(likelihood.innovations).sum())
     model = ArmaModel(
         theta[:p],
         theta[p:-1],
@@ -152,21 +134,6 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
         covariance[:-1, :-1],
         _log_s0_spread(theta, p, covariance),
         float(n),
-        flags,
     )
-    loglik = -value + n * math.log(likelihood.unit)
-    return ChannelFit(model, loglik, CHANNEL_CHOICE.score(-2.0 * loglik, theta.size, n), z, n)
-
-
-def at_cap(likelihood: Likelihood, ar: Array) -> bool:
-    """Whether a pole sits at the largest radius that the series can tell from a bias."""
-    return not is_stable(ar, 1.0 - 1.01 * (1.0 - likelihood.pole_radius))
-
-
-def _is_white(z: Array, fitted: int) -> bool:
-    known = np.isfinite(z)
-    if int(known.sum()) < fitted + 30:
-        return False
-    first, last = np.flatnonzero(known)[[0, -1]]
-    clipped = np.clip(z[first : last + 1], -CLIP, CLIP)
-    return bool(whiteness(clipped, fitted, level=CHANNEL_CHOICE.level).is_white)
+    loglik = n * math.log(likelihood.unit) - value
+    return ChannelFit(model, loglik, criterion("bic", -2.0 * loglik, theta.size, n), n)
