@@ -77,7 +77,6 @@ name = "x"
 [drive]
 type = "imu"
 rate_hz = 100
-cross_check = true
 max_speed_m_s = 3.0
 max_turn_deg_s = 40
 gyro_scale_sd = 0.01

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from navfilter.kernels import fault_bank
 from navfilter.kernels import strapdown as strapdown_kernels
 from navfilter.kernels.compiling import addresses
 
@@ -986,15 +987,19 @@ def correct(P, nav, x, res, S, PH, K, turn, T=None):
     K[:] = PH.T @ S[a:]
     d = K @ res
     P[:] = P - K @ PH - PH.T @ K.T + K @ S[:a] @ K.T
+    turn[0] = feed_back(nav, x, d)
+    G = attitude_reset(turn[0], n)
+    P[:] = G @ P @ G.T
+
+
+def feed_back(nav, x, d):
     nav[0] += d[0] / nav[15]
     nav[1] += d[1] / (nav[16] * np.cos(nav[0]))
     nav[2] -= d[2]
     nav[3:6] += d[3:6]
-    turn[0] = d[8]
     nav[6:15] = (rotation(d[6:9]) @ nav[6:15].reshape(3, 3)).ravel()
     x += d[9:]
-    G = attitude_reset(turn[0], n)
-    P[:] = G @ P @ G.T
+    return d[8]
 
 
 def memory_offsets(dims):
@@ -1695,38 +1700,6 @@ def compare_estimates(looks, now, gyros, x, P, calm):
     return False
 
 
-def propagate_jumps(bank, Phi):
-    m = len(Phi)
-    bank[:-2, :m] = bank[:-2, :m] @ Phi.T
-
-
-def update_jumps(bank, mem, dims, at, offset, says):
-    a, n, m, b, start = dims[:5]
-    f, d, c = bank[:-2, :n], bank[:-2, n], bank[:-2, n + 1]
-    propagate_jumps(bank, mem[: m * m].reshape(m, m))
-    f[:, start : start + b] = f[:, start : start + b] @ mem[m * m : m * m + b * b].reshape(b, b).T
-    H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + a * n].reshape(n, a)
-    inverse = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a)
-    nis, dof, used = mem[at[8] : at[8] + 3]
-    res, there = mem[at[8] + 3 : at[8] + 3 + a], np.isfinite(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
-    if not (dof > 0 and nis < np.inf):
-        return 0.0
-    believed = max(1.0, bank[offset, n + 2])
-    bank[offset, n + 2] += (min(nis / dof, 9.0) - bank[offset, n + 2]) / 200.0
-    y = f @ H.T
-    y[offset : offset + a] += np.eye(a)
-    y[:, ~there] = 0.0
-    if says:
-        bank[-1, n + 2] += nis / believed
-        z = y @ inverse.T / believed
-        d += z[:, there] @ res[there]
-        c += np.sum(z[:, there] * y[:, there], axis=1)
-    if used:
-        f -= y @ K.T
-    ratios = d[:6] ** 2 / np.where(c[:6] > 0, c[:6], np.inf)
-    return max(0.0, ratios.max())
-
-
 # ---------------------------------------------------------------- past
 def at(address):
     """The twin of the kernel at an address."""
@@ -2250,3 +2223,123 @@ def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ign
     kept[:4] = refused, time_s, 1.0, 0.0 if used else alone + 1
     last[:], step_before[:] = residual, step
     return nis
+
+
+# --- the bank of faults ----------------------------------------------------------------------------------------------
+
+
+def places(bank):
+    c, n = int(bank[fault_bank.SIGNATURES]), int(bank[fault_bank.STATES])
+    N = fault_bank.WINDOWS * c
+    table = fault_bank.ONSETS + fault_bank.WINDOWS
+    heard = int(bank[fault_bank.CHANNELS]) * fault_bank.HEARD
+    return tuple(np.cumsum([table, c * fault_bank.TABLE, n * N, N, N * N, N, heard]).tolist())
+
+
+def _bank(bank):
+    """Onsets, table, D (n, N), s (N,), J (N, N), what is on top of the odds (N,), what channels have said; views."""
+    c, n = int(bank[fault_bank.SIGNATURES]), int(bank[fault_bank.STATES])
+    N, ends = fault_bank.WINDOWS * c, (fault_bank.ONSETS, *places(bank))
+    shapes = (fault_bank.WINDOWS,), (c, fault_bank.TABLE), (n, N), (N,), (N, N), (N,), (-1, fault_bank.HEARD)
+    return [bank[i:j].reshape(shape) for i, j, shape in zip(ends[:-1], ends[1:], shapes, strict=True)]
+
+
+def carry(bank, Phi, first):
+    D = _bank(bank)[2]
+    D[first : first + len(Phi)] = Phi @ D[first : first + len(Phi)]
+
+
+def _larger(own):
+    correlation = np.clip(own[fault_bank.PRODUCT] / own[fault_bank.SQUARE], 0.0, fault_bank.CORRELATED)
+    return max(own[fault_bank.SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
+
+
+def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
+    onsets, table, D, s, J, _, heard = _bank(bank)
+    a, n = dims[0], dims[1]
+    H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + n * a].reshape(n, a)
+    inverse, y = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a), mem[at[8] + 3 : at[8] + 3 + a]
+    seen = ~np.isnan(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
+    F = np.zeros((a, fault_bank.WINDOWS, len(table)))
+    for k, (kind, of, place, *_) in enumerate(table):
+        if of == channel and kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
+            F[:, :, k] = -near[:, 3 + int(place), None]
+        elif of == channel:
+            F[int(place), :, k] = 1.0
+        if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP):
+            F[:, :, k] *= time_s - onsets
+    G = np.where(seen[:, None], H @ D + F.reshape(a, -1), 0.0)
+    if counts:
+        own, sd = heard[channel], np.sqrt(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
+        before = own[fault_bank.BEFORE :]
+        share = np.repeat(1.0 / np.sqrt(np.where(before > 0.0, before, _larger(own))), len(table))
+        own[fault_bank.READINGS] += 1.0
+        own[fault_bank.SUMS : fault_bank.SUMS + a][seen] += (y / sd)[seen]
+        s += share**2 * (G[seen].T @ inverse[np.ix_(seen, seen)] @ y[seen])
+        J += np.outer(share, share) * (G.T @ inverse @ G)
+    if used:
+        turn = mem[at[4] : at[5]]
+        D -= K @ G
+        D[6:9] += skew(np.array([0.0, 0.0, turn[0]])) @ D[6:9] / 2
+        D[3:6] -= skew(turn[1:4]) @ D[6:9]
+        D[6:9] += skew(np.r_[turn[4:6], 0.0]) @ D[6:9] / 2
+
+
+def judged(bank, window, k, time_s, out):
+    onsets, table, D, s, J, more, _ = _bank(bank)
+    kind, _, _, variance, rate, together = table[k]
+    age = max(time_s - onsets[window], 1.0)
+    V = variance / (age**2 if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP) else 1.0)
+    own = window * len(table) + k + np.arange(int(together))
+    M = np.linalg.inv(J[np.ix_(own, own)] + np.eye(len(own)) / V)
+    m = M @ s[own]
+    out[0] = 0.5 * s[own] @ m + 0.5 * np.linalg.slogdet(M / V)[1] + rate + np.log(age) + more[own[0]]
+    place, heading = D[:2, own], D[8:9, own]
+    out[1], out[3] = np.linalg.norm(place @ m), np.linalg.norm(heading @ m)
+    out[2], out[4] = (np.sqrt(max(np.linalg.eigvalsh(A @ M @ A.T)[-1], 0.0)) for A in (place, heading))
+
+
+def begin_window(bank, window, time_s):
+    onsets, table, D, s, J, more, heard = _bank(bank)
+    for row in heard:
+        row[fault_bank.BEFORE + window] = _larger(row) if row[fault_bank.TOLD] >= fault_bank.SETTLED else 0.0
+    own = window * len(table) + np.arange(len(table))
+    onsets[window], s[own], more[own], D[:, own], J[own], J[:, own] = time_s, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in np.flatnonzero(table[:, fault_bank.KIND] == fault_bank.STATE):
+        D[int(table[k, fault_bank.PLACE]), own[k]] = 1.0
+
+
+def look(bank, time_s):
+    table, most, found = _bank(bank)[1], -np.inf, np.zeros(5)
+    bank[[fault_bank.RADIUS_M, fault_bank.HEADING_RAD]] = 0.0
+    for own in _bank(bank)[6]:
+        sums = own[fault_bank.SUMS : fault_bank.BEFORE].reshape(2, -1)
+        mine = sums[0] != 0.0
+        if mine.any():
+            mean = np.clip(sums[0, mine] / np.sqrt(own[fault_bank.READINGS]), -fault_bank.MOST, fault_bank.MOST)
+            own[fault_bank.TOLD] = told = min(own[fault_bank.TOLD] + 1.0, fault_bank.MEMORY)
+            own[fault_bank.SQUARE] += (np.mean(mean**2) - own[fault_bank.SQUARE]) / told
+            own[fault_bank.PRODUCT] += (np.mean(mean * sums[1, mine]) - own[fault_bank.PRODUCT]) / told
+            sums[0, mine], sums[1, mine] = 0.0, mean
+        own[fault_bank.READINGS] = 0.0
+    for w in range(fault_bank.WINDOWS):
+        odds = []
+        for k in np.flatnonzero(table[:, fault_bank.TOGETHER] > 0.0):
+            judged(bank, w, k, time_s, found)
+            odds.append(found[0])
+            share = 1.0 / (1.0 + np.exp(-found[0])) / fault_bank.RISK
+            sds = np.sqrt(2.0 * np.log(max(share, 1.0)))
+            for at, first in ((fault_bank.RADIUS_M, 1), (fault_bank.HEADING_RAD, 3)):
+                bank[at] = max(
+                    bank[at],
+                    (found[first] + sds * found[first + 1])
+                    * (share > 1.0)
+                    * (bank[fault_bank.LOOKS] >= fault_bank.CONFIRMED),
+                )
+        turn = bank[fault_bank.LOOKS]
+        most = max(most, *odds) if turn >= fault_bank.CONFIRMED else most
+        if turn < fault_bank.CONFIRMED or (turn % 2 ** (w + 1) == 2**w and max(odds) < 0.0):
+            begin_window(bank, w, time_s)
+    bank[fault_bank.LOOKS] += 1.0
+    bank[[fault_bank.LOOKED_S, fault_bank.ODDS]] = time_s, most
+    return most

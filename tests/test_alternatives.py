@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from test_shifts import DEG_H, DIVE_S, END_S, SHIFT_S, long_dive, shifted_by
+from test_fault_bank import DEG_H, DIVE_S, END_S, SHIFT_S, long_dive, shifted_by
 
 import navfilter as nf
 from navfilter.models.state import matrix_from_euler

@@ -10,7 +10,7 @@ from feeding import Event, delayed, events_of, one_by_one
 
 import navfilter as nf
 from navfilter.foundation.state_values import differences
-from navfilter.kernels import bias_drift
+from navfilter.kernels import fault_bank
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation.early_rerun import ShadowRun
 from navfilter.simulation.scenarios import simulate_scenario
@@ -140,7 +140,7 @@ def test_snapshots_that_cannot_be_trusted_are_refused(dive, tmp_path):
         nf.Navigator(vehicle, mission.start, nf.Tape()).snapshot()
 
 
-def test_a_look_at_the_biases_does_not_ask_what_no_memory_holds():
+def test_a_look_for_slow_faults_does_not_ask_what_no_memory_holds():
     """A compass that is heard less often than the history is long, with a standard deviation of its own each time:
     where the look falls between it and the next, the state that is gone back to knows what that was.
     """
@@ -155,7 +155,7 @@ def test_a_look_at_the_biases_does_not_ask_what_no_memory_holds():
             nav.correct("compass", time_s, 0.01 * (k % 7), sd=0.01 * (1 + k // 290 % 3))
         if k % 20 == 10:
             nav.correct("depth", time_s, 0.05)
-            looks.append(nav.filter.memory.monitor.bias_drift[-1, bias_drift.HEADING])
+            looks.append(nav.filter.memory.monitor.bank[fault_bank.LOOKED_S])
             if len(set(looks[-2:])) == 2:
                 again.append(nf.Navigator.restore(vehicle, nav.snapshot()))
                 assert differences(again[-1].memory, nav.memory) == []

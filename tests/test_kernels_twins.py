@@ -29,7 +29,7 @@ from navfilter.kernels.compiling import decorators
 
 FOLDER = Path(strapdown.__file__).parent
 #: What goes from reading to reading: a recording taken one by one is held against the same in batches, and live.
-LOOPS = {"gravity_is_due", "propagate_sample", "correct_reading", "check_gyro_biases", "run_batch"}
+LOOPS = {"gravity_is_due", "propagate_sample", "correct_reading", "run_batch"}
 FILES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "__init__")
 
 

@@ -150,15 +150,6 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
     assert (nav.learning.memory.listeners["compass"].level > 1.0) == defects
 
 
-def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):
-    vehicle, mission = survey(20.0)
-    calls = []
-    call = runner.BatchRunner._call
-    monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: calls.append(self.at) or call(self))
-    nf.replay(replace(vehicle, drive=replace(vehicle.drive, cross_check=True)), mission)
-    assert not calls
-
-
 @pytest.mark.parametrize("constants", [False, True])
 @pytest.mark.parametrize("defects", [False, True])
 def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, constants, monkeypatch):

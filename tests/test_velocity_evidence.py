@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 from test_alternatives import since
-from test_shifts import SHIFT_S, long_dive
+from test_fault_bank import SHIFT_S, long_dive
 
 import navfilter as nf
 from navfilter.evaluation.diagnostics import doubts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from navfilter.faults import settings
 from navfilter.faults.alternative_path import AlternativePath
 from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
-from navfilter.faults.imu import bias_drift
 from navfilter.faults.imu.gyro_scale import GyroScaleTest
 from navfilter.faults.imu.monitor import CONDITIONS
 from navfilter.faults.noise_scale import NoiseScale
@@ -19,9 +18,8 @@ from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.faults.settings import UNDISPUTED_S
 from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault
-from navfilter.kernels import imu_checks
+from navfilter.kernels import fault_bank, imu_checks
 from navfilter.kernels.batch import LOOK_EVERY_S
-from navfilter.kernels.bias_drift import TIME_S
 
 Array = NDArray[np.float64]
 
@@ -156,20 +154,17 @@ class MonitorMemory:
     ----------
     imu : ndarray, shape (7, 22) or (0, 22)
         What is known of the axes of the inertial unit, see `navfilter.kernels.imu_checks`.
-    bias_glr : ndarray, shape (4, J + 2, n + 3) or (0, 0, 0)
-        What is known of jumps of its biases, see `navfilter.kernels.bias_glr`.
     channels : dict of str to SensorFaults
-    bias_drift : ndarray, shape (16, 13)
-        What the biases of its gyros were at the last looks, see `navfilter.faults.imu.bias_drift`.
+    bank : ndarray
+        What innovations say of slow faults, see `navfilter.kernels.fault_bank`; none without an inertial unit.
     silent : tuple of float
         Where nothing is heard, be it of the drive or of a sensor: since when [s], and the variances of the position
         then, north, east and down [m^2]. Else empty.
     """
 
     imu: Array
-    bias_glr: Array
     channels: dict[str, SensorFaults]
-    bias_drift: Array = field(default_factory=bias_drift.fresh)
+    bank: Array
     silent: tuple[float, ...] = ()
 
     @property
@@ -182,12 +177,13 @@ class MonitorMemory:
         """Whether an axis of the inertial unit is left out, or soon will be."""
         return len(self.imu) > 0 and (self.imu.item(imu_checks.UNIT, imu_checks.OFF_S) > 0.0 or self.has_excluded)
 
-    def look_s(self, inertial: bool) -> float:
-        """Time of the reading by which the biases of gyros, if there are any, are looked at next [s]."""
-        if not inertial:
+    @property
+    def look_s(self) -> float:
+        """Time of the reading by which slow faults are looked for next [s]."""
+        if not self.bank.size:
             return math.inf
-        last_s = self.bias_drift.item(-1, TIME_S)
-        return -math.inf if math.isnan(last_s) else (math.floor(last_s / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S
+        last_s = self.bank.item(fault_bank.LOOKED_S)
+        return last_s if last_s == -math.inf else (math.floor(last_s / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S
 
     def problem(self) -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is."""

@@ -8,18 +8,16 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults import noise_scale, policy, sensor_bias, settings, velocity_fault
-from navfilter.faults.imu import bias_drift, realignment
-from navfilter.faults.imu.bias_glr import BiasJumpGlr
+from navfilter.faults import fault_bank, noise_scale, policy, sensor_bias, settings, velocity_fault
+from navfilter.faults.imu import realignment
 from navfilter.faults.imu.monitor import COUNTED, ImuMonitor
 from navfilter.faults.memory import MonitorMemory, SensorFaults
 from navfilter.filter.actions import Action
-from navfilter.filter.events import Event
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.filter.state_layout import Group, Layout
+from navfilter.filter.state_layout import Layout
 from navfilter.foundation.state_values import copied
 from navfilter.kernels import batch
 from navfilter.models.mechanisation import Mechanisation
@@ -39,8 +37,6 @@ class FaultMonitor:
     ----------
     imu_monitor : ImuMonitor
         Of the samples of the inertial unit.
-    glr : BiasJumpGlr
-        Of jumps of its biases.
     changes : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
     slope : float or None
@@ -52,12 +48,11 @@ class FaultMonitor:
     counted = COUNTED
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.imu_monitor, self.glr = ImuMonitor(vehicle.drive), BiasJumpGlr(vehicle.drive)
-        self.sample_limits, self.cross_checks = self.imu_monitor.limits, self.glr.active
+        self.imu_monitor = ImuMonitor(vehicle.drive)
+        self.sample_limits = self.imu_monitor.limits
         self.changes: list[Change] = []
         self.slope: float | None = None
         self.is_tilted = self.has_pending = False
-        self._gyros: tuple[Group | None, Array] = (None, np.zeros((3, 0)))
 
     #: Whether a kernel may take readings in batches without asking for each.
     in_batches = True
@@ -67,12 +62,37 @@ class FaultMonitor:
         imu = self.imu_monitor.initial_memory()
         self.imu_monitor.refer(imu, memory.nav, memory.P)  # what is unknown weighs by it
         channels = {name: SensorFaults() for name in filter.channels}
-        return MonitorMemory(imu, self.glr.fresh(filter.layout, filter.channels, memory.time_s), channels)
+        return MonitorMemory(imu, channels, self._bank(filter.layout, filter.channels, memory.time_s))
 
-    def restore(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> None:
-        """Let every channel have what is remembered of its sensor."""
+    def room(self, layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
+        """Numbers that its bank of faults remembers, and how many more it works with."""
+        return fault_bank.room(layout, channels) if self.imu_monitor.active else (0, 0)
+
+    def _bank(self, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+        return fault_bank.begun(layout, channels, time_s) if self.imu_monitor.active else np.zeros(0)
+
+    def restore(self, memory: MonitorMemory, channels: Mapping[str, Channel], room: Array) -> None:
+        """Let every channel have what is remembered of its sensor, and the kernels the bank of faults."""
+        self._settle(memory, room)
         for name, channel in channels.items():
             channel.faults = memory.channels[name]
+
+    @staticmethod
+    def _settle(memory: MonitorMemory, room: Array) -> None:
+        """Let kernels work with the bank."""
+        room[: memory.bank.size] = memory.bank
+        memory.bank = room[: memory.bank.size]
+
+    def transform(self, filter: FilterState, memory: MonitorMemory, M: Array, room: Array) -> None:
+        """The error states are M times what they were."""
+        if room.size:
+            memory.bank = fault_bank.transformed(memory.bank, M, filter.layout, filter.channels)
+            self._settle(memory, room)
+
+    def begin_again(self, filter: FilterState, memory: MonitorMemory) -> None:
+        """What innovations have told of slow faults is of another state."""
+        if memory.bank.size:
+            memory.bank[:] = fault_bank.begun(filter.layout, filter.channels, filter.memory.time_s)
 
     def problem(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is."""
@@ -82,21 +102,13 @@ class FaultMonitor:
                 return f"what is kept of the noise of {name} is not laid out as this vehicle's"
         return memory.problem()
 
-    def gyros(self, filter: FilterState) -> Array:
-        """What is known of the gyros of the inertial unit, see `navfilter.kernels.bias_drift`."""
-        group = filter.layout.drive
-        if self._gyros[0] is not group:
-            self._gyros = group, bias_drift.gyros(group, filter.period_s)
-        return self._gyros[1]
-
     def transferred(
         self, filter: FilterState, memory: FilterMemory, layout: Layout, given: FilterMemory
     ) -> MonitorMemory:
         """Its memory where a filter begins anew from the state of another one, with these states."""
         own = filter.memory.monitor
-        glr = self.glr.fresh(layout, filter.channels, memory.time_s)
         channels = {name: given.monitor.channels.get(name, known) for name, known in own.channels.items()}
-        result = MonitorMemory(own.imu.copy(), glr, copied(channels))
+        result = MonitorMemory(own.imu.copy(), copied(channels), self._bank(layout, filter.channels, memory.time_s))
         self.imu_monitor.refer(result.imu, memory.nav, memory.P)
         return result
 
@@ -136,11 +148,16 @@ class FaultMonitor:
         return let_in, described
 
     def pending(self, filter: FilterState) -> Actions:
-        """What refused readings have made necessary, before the next input."""
-        yield from bias_drift.check_biases(filter)
+        """What refused readings have made necessary, before the next input; whether slow faults were looked for."""
+        looked = yield from self.look(filter)
         if self.has_pending:
             self.has_pending = False
             yield from policy.pending(filter)
+        return looked
+
+    def look(self, filter: FilterState) -> Actions:
+        """Look for slow faults, if it is time, after a reading has been taken; whether it was."""
+        return (yield from fault_bank.look(filter))
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
@@ -193,7 +210,3 @@ class FaultMonitor:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
         if missing or filter.memory.monitor.silent:
             yield from realignment.attend(filter, missing)
-
-    def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
-        """Take what the filter has done; value: of the reading."""
-        yield from self.glr.on_event(filter, event, value)

@@ -17,6 +17,7 @@ from navfilter.faults import (
     alternative_path,
     dead_reckoning_compass,
     depth_fault,
+    fault_bank,
     heading_fault,
     innovation_gate,
     sensor_bias,
@@ -26,7 +27,7 @@ from navfilter.faults import (
 )
 from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
-from navfilter.faults.imu import gyro_scale, realignment
+from navfilter.faults.imu import contradiction, gyro_scale, realignment
 from navfilter.faults.protection_level import IN_LINE
 from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
@@ -361,7 +362,7 @@ def pending(filter: FilterState) -> Iterator[Action]:
     """Do what refused readings have made necessary, before the next input."""
     if filter.monitor.slope is not None:
         slope, filter.monitor.slope = filter.monitor.slope, None
-        yield from filter.monitor.glr.accused(filter, slope)
+        yield from contradiction.accuse(filter, slope)
         yield from _turned_to_the_compass(filter)
         yield from realignment.set_anew(filter)
     if filter.monitor.is_tilted:
@@ -489,6 +490,7 @@ def _follows(channel: Channel, time_s: float) -> None:
 
 def _readmit(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
     """Correct by the reading that was refused, now that the covariance lets it in."""
+    fault_bank.note_jump(filter, channel, time_s)
     yield Readmit(channel, innovation_gate.whole_residual(channel, filter.memory.x))
     channel.use(time_s)
     yield Count("widened")

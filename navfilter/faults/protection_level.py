@@ -45,6 +45,8 @@ def bounds(
     slow: Any = 0.0,
     beside_m: Any = 0.0,
     compared: bool = True,
+    unnoticed_m: Any = 0.0,
+    unnoticed_rad: Any = 0.0,
 ) -> tuple[Any, Any]:
     """Protection radius [m] and bound of the heading [rad] at one time, or at many.
 
@@ -66,6 +68,8 @@ def bounds(
     compared : bool
         Whether anything holds the heading of the drive against another. A compass that drives and is the only one may
         be off by anything.
+    unnoticed_m, unnoticed_rad : float or ndarray, shape (...)
+        What slow faults may have done to position and heading, see `navfilter.kernels.fault_bank` [m, rad].
 
     Examples
     --------
@@ -79,7 +83,8 @@ def bounds(
     by_heading = 2.0 * np.sin(0.5 * np.minimum(heading, math.pi)) * moved_m
     by_velocity = np.maximum(np.multiply(age_s, off.get("velocity", 0.0)), beside_m)
     by_motion = np.maximum(by_heading, by_velocity) if held else math.inf
-    fault = np.maximum(off.get("position", 0.0), np.where(away, by_motion, 0.0))
+    fault = np.maximum(np.maximum(off.get("position", 0.0), np.where(away, by_motion, 0.0)), unnoticed_m)
+    heading = np.maximum(heading, unnoticed_rad)
     half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
     longest = half + np.hypot(0.5 * (P[..., 0, 0] - P[..., 1, 1]), P[..., 0, 1])
     heading_sd = np.sqrt(np.maximum(P[..., 8, 8], slow))

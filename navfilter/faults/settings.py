@@ -69,6 +69,15 @@ CARRIED_M_S = 0.1
 #: readings happened to look alike. (chosen)
 DEPTH_GROWN = 2.0
 
+# -------------------- fault bank
+#: Each fault happens so often [1/s]: once in twenty hours. (chosen)
+FAULTS_PER_S = 0.05 / 3600.0
+#: Standard deviations of what may go wrong: of the velocity of what a velocity is read against [m/s], of a heading
+#: [rad], and of a bias of the unit, as a multiple of what it is at the start [1]. (chosen)
+FLOW_SD, HEADING_SD, BIAS_SDS = 0.3, math.radians(10.0), 30.0
+#: By so much fixes may jump, or the position beside them [m]. (chosen)
+JUMP_M = 100.0
+
 # -------------------- heading fault
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
 #: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
@@ -85,42 +94,10 @@ SAME_SPEED = 2.0
 #: A deviation that changes with the heading by more than this, at so many of its standard deviations [1]. (chosen)
 IRON_SLOPE, IRON_SURE = 0.5, 3.0
 
-# -------------------- imu: bias drift
-#: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1]. (chosen)
-FLOOR = 0.15
-#: The share of a shift that the estimate has followed, at least [1]. (chosen)
-DRIFT_LEAST = 0.05
-#: A bias is opened by so many times its shift as found [1]: it came some time after the look. (derived)
-DRIFT_OPENED = 2.0
-#: What tilts the vehicle contradicts the accelerometers within so long [s]. (chosen)
-TILT_S = 10.0
-#: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
-#: difference between a compass and how far gyros have turned [rad]. (chosen)
-DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
-#: An error of a compass that its description leaves out is a Gauss-Markov process of one of these standard deviations
-#: [rad], halves of what deviations are, and time constants [s], from a look to twice as long as looks are kept.
-#: (derived)
-LEVELS, TAUS_S = tuple(DEVIATION[0] * 0.5**k for k in range(7)), (10.0, 30.0, 100.0, 300.0)
-#: An axis is about the vertical if so much of it is [1]. (chosen)
-UPRIGHT = 0.5
-
-# -------------------- imu: bias glr
-#: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often
-#: [s]: what contradicts shows within two seconds, or is too small to do harm by then. (chosen)
-WINDOWS, SPACING_S = 4, 0.5
-#: So many windows are too young to be judged by. [1] (chosen)
-YOUNG = 2
-#: Twice the log likelihood ratio, chi-square with one degree of freedom: six standard deviations, 2e-9 a look. Looks
-#: at 12 Hz on six axes, one in six or so of them independent, make 1e-4 false alarms an hour. [1] (derived)
-GLR_LIMIT = 36.0
-#: Something else explains it as well if its ratio is so near: a hundred times less likely. [1] (chosen)
-GLR_MARGIN = 10.0
-#: Share of all squared innovations that the jump must explain: a ramp that began up to half a second after its window
-#: explains 0.9, a single outlier among three readings 0.64, noise less. [1] (derived)
-GLR_SHARE = 0.85
+# -------------------- imu: contradiction
 #: Left out for so long at first [s], twice as long each time that it fails again within as much, at most. (chosen)
 OUT_S, GLR_LONGEST_S = 10.0, 160.0
-#: A bias is opened by so many times the jump that was found, whose time is known by `SPACING_S` only. [1] (chosen)
+#: A bias is opened by so many times the jump that was found. [1] (chosen)
 GLR_OPENED = 3.0
 #: What is left must carry the vehicle: a velocity and a heading heard within so long [s]. (chosen)
 GLR_HEARD_S = 3.0
@@ -153,8 +130,7 @@ KNOWN, CLOSE = 0.1, 0.25
 # -------------------- imu: monitor
 #: What a vehicle does unseen goes on for about so long [s]. (chosen)
 UNSEEN_S = 1.0
-#: What contradicts compass and DVL is found so late at most [s]: all windows of `navfilter.faults.imu.bias_glr`.
-#: (derived)
+#: What contradicts compass and DVL is found so late at most [s]. (chosen)
 FOUND_S = 2.0
 #: The square of a second difference of white noise is so many times its variance [1]. (derived)
 WHITE = 6.0

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings
 from navfilter.faults.alternative_path import most_speed
+from navfilter.faults.imu import contradiction
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks, strapdown
@@ -151,7 +152,7 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
         Of the reading [s].
     """
     kept, right = channel.faults, _was_right(filter, channel)
-    if filter.inertial and filter.monitor.glr.fails_again(channel, filter.memory):
+    if filter.inertial and contradiction.fails_again(channel, filter.memory):
         return 0.0
     # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
     least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S

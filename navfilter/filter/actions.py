@@ -70,6 +70,20 @@ class MovePosition(NamedTuple):
     east_m: float
 
 
+class Correct(NamedTuple):
+    """Take an estimated error into the state, and open its covariance.
+
+    Attributes
+    ----------
+    error : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+        Is added.
+    """
+
+    error: Array
+    covariance: Array
+
+
 class MoveError(NamedTuple):
     """Add to the estimate of an error state: ``x[place] += by``."""
 
@@ -135,6 +149,7 @@ Action = (
     | Transform
     | TurnHeading
     | MovePosition
+    | Correct
     | MoveError
     | Adopt
     | Readmit

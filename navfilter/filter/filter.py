@@ -31,7 +31,7 @@ from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
-from navfilter.kernels import batch, consistency, kalman, measurement, strapdown
+from navfilter.kernels import batch, consistency, fault_bank, kalman, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.models.during import instrument
@@ -165,7 +165,9 @@ class Filter:
         variance = self.vehicle.drive.rate_variance(g.Q, g.C, g.r)
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
-        self.bench, self.plan, self.drive_spot = shared(list(self.channels.values()), self.vehicle.drive, self._dims)
+        self.bench, self.plan, self.bank = shared(
+            list(self.channels.values()), self.vehicle.drive, self._dims, *self.monitor.room(layout, self.channels)
+        )
 
     def set_imu_noise(self) -> None:
         """Believe the drive's axes as far as the monitor says."""
@@ -191,7 +193,7 @@ class Filter:
         for name, channel in self.channels.items():
             channel.noted[:] = memory.channels[name]
             memory.channels[name] = channel.noted
-        self.monitor.restore(memory.monitor, self.channels)
+        self.monitor.restore(memory.monitor, self.channels, self.bank)
 
     # ---------------------------------------------------------------- propagation
     def propagate(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
@@ -284,6 +286,8 @@ class Filter:
         if self.tape is not None:
             self.tape.record(transition.reshape(-1), 0, self._dims)
         kalman.fold(memory.P, memory.acc, memory.nav, self._work)
+        if self.bank.size:
+            fault_bank.carry(self.bank, transition, 0)
         memory.unfolded = 0
         self._row()
         return Propagated(transition)
@@ -291,7 +295,8 @@ class Filter:
     def _row(self) -> None:
         memory = self.memory
         if self.tape is not None:
-            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, self.present if memory.unfolded else None)
+            present = self.present if memory.unfolded else None
+            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, present, self.unnoticed)
 
     # ---------------------------------------------------------------- correction
     def correct(self, measured: Measurement, tell: Listening) -> Correction:
@@ -355,12 +360,12 @@ class Filter:
         """Predict, gate and correct."""
         memory, channel.reading = self.memory, z
         channel.gate[:], own = self.monitor.gate(channel, z, sd, time_s)
+        channel.memory.last_s = time_s
         batch.correction(
             *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
             *(memory.recent, z, own, channel.ticks(time_s), channel.lead_s + memory.time_s - time_s),
         )
         memory.unfolded = 0
-        channel.memory.last_s = time_s
         return self.concluded(channel, time_s, frozen, tell)
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool, tell: Listening) -> Correction:
@@ -407,9 +412,15 @@ class Filter:
                 self._set_velocity_attitude(velocity_n, C_nb, M, N, tell)
             case actions.TurnHeading(compass, angle, variance):
                 self._turn_heading(compass, angle, variance)
+                self.monitor.begin_again(self, memory.monitor)
             case actions.MovePosition(north_m, east_m):
                 memory.nav[0] += north_m / memory.nav[15]
                 memory.nav[1] += east_m / (memory.nav[16] * math.cos(memory.nav[0]))
+            case actions.Correct(error, covariance):
+                kalman.feed_back(memory.nav, memory.x, error)
+                memory.P += covariance
+                memory.P[:] = 0.5 * (memory.P + memory.P.T)
+                self._row()
             case actions.MoveError(place, by):
                 memory.x[place] += by
             case actions.Readmit(channel, residual):
@@ -431,7 +442,8 @@ class Filter:
 
     def handle_pending(self, tell: Listening) -> None:
         """Do what refused readings have made necessary, before the next input."""
-        self.act(self.monitor.pending(self), tell)
+        if self.act(self.monitor.pending(self), tell):
+            self._row()
 
     # ---------------------------------------------------------------- other error models
     def described_models(self, others: Mapping[str, Errors]) -> dict[str, Errors]:
@@ -463,6 +475,7 @@ class Filter:
             tell(self._fold())
         self._arrange(models, found)
         self._transform(found.M, found.N)
+        self.monitor.transform(self, memory.monitor, found.M, self.bank)
         memory.x = np.ascontiguousarray(found.M[9:, 9:] @ memory.x)
         memory.acc, memory.models, self._xd = self._identity(), models, memory.x[: self.layout.drive.size]
         memory.channels = {name: channel.noted for name, channel in self.channels.items()}
@@ -492,6 +505,7 @@ class Filter:
             tell(self._fold())
         self.memory.nav[3:6], self.memory.nav[6:15] = velocity_n, C_nb.reshape(-1)
         self._transform(M, N)
+        self.monitor.begin_again(self, self.memory.monitor)
         self._row()
         tell(StateTransformed(M, anew=True))
 
@@ -537,7 +551,7 @@ class Filter:
         memory.unfolded = 0
         if tape is not None:
             tape.record(compass.record, a, compass.dims)
-            tape.row(memory.time_s, nav, x, P)
+            self._row()
 
     # ---------------------------------------------------------------- what is known
     @property
@@ -580,6 +594,13 @@ class Filter:
         return out
 
     @property
+    def unnoticed(self) -> tuple[float, float]:
+        """What faults that nobody has noticed may have done to position [m] and heading [rad]."""
+        if not self.bank.size:
+            return 0.0, 0.0
+        return float(self.bank[fault_bank.RADIUS_M]), float(self.bank[fault_bank.HEADING_RAD])
+
+    @property
     def errors(self) -> dict[str, float]:
         """Estimates of all error states and parameters by name."""
         return dict(zip(self.layout.names, self.memory.x.tolist(), strict=True))
@@ -590,8 +611,8 @@ TRACED = {strapdown.imu_steps: strapdown.imu_traced, strapdown.dead_reckoning_st
 
 
 def shared(
-    channels: Sequence[Channel], drive: Mechanisation, folds: NDArray[np.int64]
-) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    channels: Sequence[Channel], drive: Mechanisation, folds: NDArray[np.int64], remembered: int = 0, more: int = 0
+) -> tuple[Array, NDArray[np.int64], Array]:
     """Let all channels work in one array.
 
     Parameters
@@ -601,18 +622,21 @@ def shared(
     drive : Mechanisation
     folds : ndarray of int, shape (7,)
         Dimensions of a fold between readings, see ``kalman.memory_offsets``.
+    remembered, more : int
+        Numbers that the bank of faults remembers, and works with.
 
     Returns
     -------
     bench : ndarray
     plan : ndarray of int, shape (channels + 1, PLAN)
         What stands where, see `navfilter.kernels.batch`.
-    last : ndarray of int, shape (PLAN,)
-        Its last row.
+    bank : ndarray, shape (remembered + more,)
+        Part of it for the bank of faults.
     """
     n, m = folds[1:3].tolist()
     *begins, end = accumulate((channel.size for channel in channels), initial=0)
-    bench = np.zeros(end + m * m + max(m * n, 9 * (n + m + 9)))
+    at = end + m * m + max(m * n, 9 * (n + m + 9))
+    bench = np.zeros(at + remembered + more)
     last = np.zeros(batch.PLAN, np.int64)
     last[: len(folds)], last[batch.MEM] = folds, end
     last[batch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])
@@ -623,4 +647,8 @@ def shared(
     for row in rows:
         if row[batch.SIGHT]:
             row[batch.MOTION] = address(drive.moved, addresses.MOTION)
-    return bench, np.array([*rows, last]), last
+    plan = np.array([*rows, last])
+    plan[:, batch.INDEX], plan[:, batch.BANK] = np.arange(len(plan)), at if remembered else 0
+    for channel, row in zip(channels, plan, strict=False):
+        channel.spot = row
+    return bench, plan, bench[at:]

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.actions import Action
-from navfilter.filter.events import Event
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.model_change import Adoption
 from navfilter.filter.records import Tape
@@ -44,6 +43,7 @@ class FilterState(Protocol):
     period_s: float
     drive_output: Array
     bench: Array
+    bank: Array
     plan: NDArray[np.int64]
 
     prepared: list[Adoption]
@@ -85,8 +85,6 @@ class Monitor(Protocol):
         What it counts, see `Count`.
     sample_limits : ndarray
         Limits of samples by axis, as kernels take them.
-    cross_checks : bool
-        It looks for jumps of the unit's biases, reading by reading.
     in_batches : bool
         Whether a kernel may take readings in batches without asking for each.
     has_pending : bool
@@ -95,7 +93,6 @@ class Monitor(Protocol):
 
     counted: tuple[str, ...]
     sample_limits: Array
-    cross_checks: bool
     in_batches: bool
     has_pending: bool
 
@@ -104,8 +101,17 @@ class Monitor(Protocol):
         the filter has none yet.
         """
 
-    def restore(self, memory: Any, channels: Mapping[str, Channel]) -> None:
-        """Let every channel have what is remembered of its sensor, as `Channel.faults`."""
+    def room(self, layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
+        """Numbers that its bank of faults remembers, and how many more it works with."""
+
+    def restore(self, memory: Any, channels: Mapping[str, Channel], room: Array) -> None:
+        """Let every channel have what is remembered of its sensor, as `Channel.faults`, and the kernels its bank."""
+
+    def transform(self, filter: FilterState, memory: Any, M: Array, room: Array) -> None:
+        """The error states are M times what they were."""
+
+    def begin_again(self, filter: FilterState, memory: Any) -> None:
+        """Velocity and attitude have been set anew: what innovations have told of slow faults is of another state."""
 
     def problem(self, memory: Any, channels: Mapping[str, Channel]) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is."""
@@ -137,7 +143,10 @@ class Monitor(Protocol):
         """After a reading has been gated: whether it is let in after all, and its NIS by the description."""
 
     def pending(self, filter: FilterState) -> Actions:
-        """What refused readings have made necessary, before the next input."""
+        """What refused readings have made necessary, before the next input; whether slow faults were looked for."""
+
+    def look(self, filter: FilterState) -> Actions:
+        """Look for slow faults, if it is time; whether it was."""
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
@@ -172,6 +181,3 @@ class Monitor(Protocol):
 
     def on_silence(self, filter: FilterState, missing: bool) -> Iterator[Action]:
         """Before samples or a reading: note when nothing is heard any more, and what follows when it ends."""
-
-    def on_event(self, filter: FilterState, event: Event, value: Array | None) -> Iterator[Action]:
-        """Take what the filter has done, where it `cross_checks`; value: of the reading."""

@@ -216,6 +216,7 @@ class Tape(Shown):
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
         self.row_layouts = array("q")  # the layout of each row
+        self.row_unnoticed = array("d")  # see `navfilter.kernels.fault_bank`: two of each row
         self.columns: dict[str, _Column] = {}
         self.models: dict[str, list[tuple[float, Any]]] = {}
         self.layouts: list[Any] = [layout]
@@ -242,12 +243,21 @@ class Tape(Shown):
         """
         return np.frombuffer(self._heads, np.int16).reshape(-1, 5)
 
-    def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
+    def row(
+        self,
+        time_s: float,
+        nav: Array,
+        x: Array,
+        P: Array,
+        present: Array | None = None,
+        unnoticed: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
         skipped.
 
         The whole covariance, as its lower triangle, is kept only where the smoother needs it; elsewhere `present`,
-        where samples have not been folded into P yet (`Estimate.present`).
+        where samples have not been folded into P yet (`Estimate.present`). `unnoticed`: what faults that nobody has
+        noticed may have done to position [m] and heading [rad].
         """
         n = len(P)
         size = self._row_size(n)
@@ -257,6 +267,7 @@ class Tape(Shown):
                 self.rows.drop()
                 out = self.rows.new(size)
             self.row_records[-1], self.row_layouts[-1] = len(self.records), len(self.layouts) - 1
+            self.row_unnoticed[-2:] = array("d", unnoticed)
         else:
             if self.row_times and time_s - self.row_times[-1] < self.interval_s:
                 return
@@ -264,6 +275,7 @@ class Tape(Shown):
             self.row_times.append(time_s)
             self.row_records.append(len(self.records))
             self.row_layouts.append(len(self.layouts) - 1)
+            self.row_unnoticed.extend(unnoticed)
         out[:17] = nav
         out[17 : 17 + x.size] = x
         if self.smoothable:
@@ -283,7 +295,7 @@ class Tape(Shown):
             self.rows.to_file()  # it is a long run, which needs its memory for other things
         flat, held = self.rows.tail(size, last=True)
         if held:
-            info[0] = self.row_times[-1], self.row_records[-1] - len(self.records)
+            info[0] = self.row_times[-1], self.row_records[-1] - len(self.records), *self.row_unnoticed[-2:]
         if self.smoothable:
             records, _ = self.records.tail(longest)
         self._held = int(held)
@@ -310,6 +322,7 @@ class Tape(Shown):
             self._heads.frombytes(heads[:records, 1:].astype(np.int16).tobytes())
         if count and self.row_times and info[0, 0] == self.row_times[-1]:
             self.row_records[-1], self.row_layouts[-1], again = before + int(info[0, 1]), len(self.layouts) - 1, 1
+            self.row_unnoticed[-2:] = array("d", info[0, 2:])
         if again > self._held:  # it stands in another chunk
             flat = rows[:count].flatten()
             self.rows.drop()
@@ -317,6 +330,7 @@ class Tape(Shown):
         else:
             self.rows.took(np.full(count - again, rows.shape[1]))
         self.row_times.frombytes(info[again:count, 0].tobytes())
+        self.row_unnoticed.frombytes(info[again:count, 2:].tobytes())
         self.row_records.frombytes((before + info[again:count, 1].astype(np.int64)).tobytes())
         self.row_layouts.extend([len(self.layouts) - 1] * (count - again))
 
@@ -338,6 +352,7 @@ class Tape(Shown):
                 mine.extend(flat, sizes)
         self._heads.extend(other._heads[: 5 * records])
         self.row_times.extend(other.row_times[:rows])
+        self.row_unnoticed.extend(other.row_unnoticed[: 2 * rows])
         self.row_records.extend(array("q", [before + number for number in other.row_records[:rows]]))
         self.row_layouts.extend(array("q", [layouts + number for number in other.row_layouts[:rows]]))
         self.layouts += other.layouts

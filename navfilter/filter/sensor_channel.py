@@ -181,7 +181,7 @@ class Channel:
             self.partly_for_s < math.inf,
         )
         north = -1 if self.sensor.observes.north is None else self.sensor.observes.north
-        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False, ends[9] if self.offset else 0
+        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False, ends[9] if self.offset else 0, 0, 0
         self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 

@@ -74,16 +74,6 @@ class Group:
         constant = np.diag(self.Phi)[: self.errors] == 1.0
         return tuple(np.flatnonzero(constant & (row != 0.0)) for row in self.C)
 
-    @cached_property
-    def gyro_biases(self) -> Array:
-        """Of the drive: place of the bias of each gyro, what its random walk adds to the variance in a sample, and the
-        variance at the start, shape (3, 3); without columns where not all have one.
-        """
-        if not all(each.size for each in self.biases[:3]):
-            return np.zeros((3, 0))
-        own = np.array([each[0] for each in self.biases[:3]])
-        return np.array([self.start + own, self.Q[own, own], self.P0[own, own]])
-
     @classmethod
     def build(
         cls,

@@ -27,12 +27,12 @@ filter.channel filter.sensor_channel, filter.chi_square foundation.chi_square, f
 filter.course faults.heading_fault, filter.described filter.channel_model, filter.drive_clock faults.clocks.imu_clock,
 filter.drive_watch faults.imu.monitor, filter.gating faults.innovation_gate, filter.health faults.sensor_monitor,
 filter.heights faults.depth_fault, filter.history navigation.history, filter.intake filter.imu_intake,
-filter.integrity faults.protection_level, filter.iron faults.heading_fault, filter.jumps faults.imu.bias_glr,
+filter.integrity faults.protection_level, filter.iron faults.heading_fault, filter.jumps faults.imu.contradiction,
 filter.lane_choice faults.lane_selection, filter.layout filter.state_layout, filter.memory foundation.state_values,
 filter.offsets models.fault_bias, filter.over_ground faults.ground_velocity, filter.ramp faults.velocity_evidence,
 filter.realignment faults.imu.realignment, filter.reckoned faults.dead_reckoning_compass, filter.refusals
 faults.sensor_bias, filter.refused faults.policy, filter.refused_way faults.alternative_path, filter.scatter
-faults.noise_scale, filter.sensor_clock faults.clocks.sensor_clock, filter.shifts faults.imu.bias_drift, filter.sight
+faults.noise_scale, filter.sensor_clock faults.clocks.sensor_clock, filter.shifts faults.fault_bank, filter.sight
 filter.delayed_measurement, filter.slack faults.sensor_bias, filter.smoother filter.rts_smoother, filter.snapshot
 navigation.snapshot, filter.spool filter.record_store, filter.tape filter.records, filter.transplant
 navigation.lanes.state_transfer, filter.turns faults.imu.gyro_scale, filter.waiting navigation.waiting, handed_over
@@ -45,8 +45,8 @@ io.logs.cache, io.merging io.stream_joining, io.native io.mission_npz, io.starti
 io.table, kernels.addresses kernels.compiling.addresses, kernels.arma kernels.recursive_arma,
 kernels.arma_window kernels.recursive_arma_window, kernels.channel kernels.arma_likelihood, kernels.decorators
 kernels.compiling.decorators, kernels.drive_watch kernels.imu_checks, kernels.fit kernels.arma_fit, kernels.jumps
-kernels.bias_glr, kernels.listen kernels.open_loop_residual, kernels.past kernels.delayed_state, kernels.registers
-kernels.compiling.registers, kernels.scatter kernels.noise_scale, kernels.shifts kernels.bias_drift, kernels.stretch
+kernels.fault_bank, kernels.listen kernels.open_loop_residual, kernels.past kernels.delayed_state, kernels.registers
+kernels.compiling.registers, kernels.scatter kernels.noise_scale, kernels.shifts kernels.fault_bank, kernels.stretch
 kernels.batch, kernels.text kernels.number_text, known_calls kernels.compiling.type_cache, lane_clock
 models.lane_clock, lane_missions models.lane_missions, lane_replay navigation.lanes.replay, lane_tracks
 navigation.lanes.tracks, lanes navigation.lanes.navigator, learning.belief

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from navfilter.kernels import (
-    bias_drift,
     consistency,
     delayed_state,
+    fault_bank,
     imu_checks,
     kalman,
     noise_scale,
@@ -37,16 +37,18 @@ UNSURE_HEADING = 0.01
 # memory the verdict, and how long the record for the smoother is; whether a reading of which components are left out is
 # Python's to judge; from which of its parameters to which the slopes are held; which of its axes is the heading (-1:
 # none); whether these parameters may be hidden by the state's error; whether nobody wants to know its transitions;
-# where the table of its fault states stands (0: none), see `fault_states`. One more row is for the drive: dimensions of
+# where the table of its fault states stands (0: none), see `fault_states`; which row this is, and where the bank of
+# faults stands (0: none), see `fault_bank`. One more row is for the drive: dimensions of
 # a fold, addresses of its steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the
 # longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
-VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, UNHEARD, FAULTS, PLAN = range(26, 36)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, UNHEARD, FAULTS, INDEX, BANK, PLAN = range(26, 38)
 
-# Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
-TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
+# Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written;
+# what faults that nobody has noticed may have done, see `fault_bank`.
+TIME_S, SAMPLE_S, BEFORE_S, ROW_S, UNNOTICED = range(5)
 # Elements of `cursor`: reading, sample, samples whose transition is not in P yet, gaps, rows written, records written,
 # elements of them; samples that are steps already; one spare; where in `recent` the newest sample of the drive stands.
 READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED, SPARE, NEWEST, CURSOR = range(11)
@@ -55,7 +57,7 @@ MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `record_residual`); after how many samples
-# Python feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
+# Python feels whether the vehicle rests (0: never); when slow faults are looked for.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
 LOOK_S = 11
 # Columns of `heard`, a row a channel: period, until when readings are the kernel's though some have been refused, ticks
@@ -70,8 +72,8 @@ SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, F
 # Readings of the running NIS, and what a single one counts per component at most: an outlier is no noise, and five of
 # them bring the mean beyond the 3 of a noisy sensor. Two do not, of one whose mean is 1.8 as it is. It begins with 1.
 NIS_MEMORY, NIS_MOST = 50.0, 25.0
-# The biases of the gyros are looked at so often [s], beside a compass whose last reading is not older [s].
-LOOK_EVERY_S, COMPASS_S = 10.0, 3.0
+# Slow faults are looked for so often [s].
+LOOK_EVERY_S = 10.0
 # The same value so many times and for so long is stuck, as `navfilter.faults.sensor_monitor.SensorMonitor` has it.
 STUCK_READINGS, STUCK_S = 10.0, 8.0
 
@@ -87,7 +89,7 @@ HAND, HELD_FOR_SAMPLES, PIECE = 19, 15, 13
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
 # over the drive has found something that Python has to heed; after the last reading there is something to learn, or a
-# bias of a gyro may have shifted.
+# slow fault is believed.
 DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN, LOOK = range(8)
 
 
@@ -176,6 +178,8 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
     for i in range(a + 1):
         limits[0, i] = math.inf
     _corrected(bench, spot, P, nav, x, drv, Cr, C, R, spot[MOVES] != 0 and seen >= 3, flat(limits))
+    if spot[BANK]:
+        _note_faults(bench, spot, int(0))
 
 
 @apart
@@ -310,6 +314,24 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         for i in range(a + 1):
             limits[i] = -1.0 if i else math.inf
     _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits)
+    if spot[BANK]:
+        bank = bench[spot[BANK] :]
+        fault_bank.carry(bank, shaped(mem[: m * m], m, m), int(0))
+        if b > 0:
+            fault_bank.carry(bank, shaped(mem[m * m : m * m + b * b], b, b), start)
+        _note_faults(bench, spot, int(1))
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def _note_faults(bench, spot, counts):
+    """Show the bank of faults the last reading of a channel; counts: 1 where it is evidence if it was used."""
+    a, parameters, mem = spot[0], spot[6], bench[spot[MEM] : spot[CONSTANTS]]
+    places = kalman.memory_offsets(spot[:8])
+    verdict, near = places[8], shaped(mem[places[7] : places[8]], a, 9 + parameters)
+    used, time_s = mem[verdict + 2] != 0.0, mem[verdict + 3 + 2 * a + LAST_S]
+    counted = counts != 0 and used
+    fault_bank.take_reading(bench[spot[BANK] :], mem, spot, places, near, spot[INDEX], time_s, counted, used)
 
 
 @apart
@@ -319,7 +341,8 @@ def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, 
 
     xd: the first of x, those of the drive. rows (r, w): nav, x, then the lower triangle of P or its first nine rows
     and columns and the rest of its diagonal, as `kalman.present` gives them where samples have not been folded yet.
-    info (r, 2): time, and after how many records. inertial, own: see `consistency.attitude_second_order`.
+    info (r, 4): time, after how many records, and what stands in `now` from `UNNOTICED` on. inertial, own: see
+    `consistency.attitude_second_order`.
     """
     at, n = cursor[ROWS], P.shape[0]
     if now[TIME_S] == now[ROW_S] and at > 0:
@@ -348,6 +371,7 @@ def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, 
         for i in range(9, n):
             row[n + 80 + i] = P[i, i]
     info[at, 0], info[at, 1] = now[TIME_S], cursor[RECORDS]
+    info[at, 2], info[at, 3] = now[UNNOTICED], now[UNNOTICED + 1]
     now[ROW_S] = now[TIME_S]
     cursor[ROWS] = at + 1
 
@@ -417,7 +441,7 @@ def _keep_recent(block, recent, cursor):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
+def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work, bank):
     """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; says why
     it ended: all is `DONE`, the output is `FULL`, or Python has to `HEED` what the watch over the drive has found,
     or to feel whether the vehicle rests.
@@ -467,6 +491,8 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
             cursor[UNFOLDED] = 0
             if undone.size > 0:
                 open_loop_residual.carry_feedback(undone, shaped(head, m, m))
+            if spot[BANK]:
+                fault_bank.carry(bank, shaped(head, m, m), int(0))
             _note_record(head, int(0), spot, cursor, records, heads)
         if cursor[UNFOLDED] == 0 or each:
             _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, info, work[m * m :])
@@ -748,46 +774,13 @@ def _described_nis(bench, own, P, nav, Cr, t, kept, facts, w):
     return noise_scale.update_scale(mine, facts, mem, S, own[VERDICT], R, own[NORTH], P, nav, Cr, t, busy)
 
 
-@apart
 @njit(cache=True, **UNCOUNTED)
-def check_gyro_biases(bench, plan, nav, x, P, w, time_s, looks, gyros, now):
-    """A look at the biases of the gyros after a reading, see `navfilter.kernels.bias_drift.compare_estimates`.
-
-    w: what the watch over the drive remembers; time_s: of the state; now (COLUMNS,): receives the look, but for how
-    often the attitude has been set anew, which stands there.
-    """
-    latest_s, nis, dof, compass, calm = -math.inf, 0.0, 0.0, int(-1), True
+def _latest_s(bench, plan):
+    """When any channel was read last [s]."""
+    latest_s = -math.inf
     for i in range(plan.shape[0] - 1):
-        last_s = _last_s(bench, plan[i])
-        latest_s = max(latest_s, last_s)
-        if compass < 0 and plan[i, NORTH] >= 0 and time_s - last_s < COMPASS_S:
-            compass = i
-    for i in range(plan.shape[0] - 1):
-        verdict = plan[i, MEM] + plan[i, VERDICT]
-        told = _last_s(bench, plan[i]) > latest_s - LOOK_EVERY_S and math.isfinite(bench[verdict])
-        if told and bench[verdict + 1] != 0.0:
-            nis, dof = nis + bench[verdict], dof + bench[verdict + 1]
-    now[bias_drift.TIME_S], now[bias_drift.LATITUDE], now[bias_drift.LONGITUDE] = latest_s, nav[0], nav[1]
-    now[bias_drift.NIS], now[bias_drift.HEADING], now[bias_drift.APART] = (
-        nis / dof if dof > 0.0 else 1.0,
-        math.nan,
-        math.nan,
-    )
-    if compass >= 0:
-        own = plan[compass]
-        a, errors, north, verdict = own[0], own[5], own[NORTH], own[MEM] + own[VERDICT]
-        left = bench[verdict + 3 + north]
-        if bench[verdict + 2] != 0.0:
-            left *= bench[verdict + 3 + 2 * a + NORTH_WHITE] / bench[verdict + 3 + a + north]
-        heading = math.atan2(nav[9], nav[6]) + left
-        for j in range(errors):
-            heading += bench[own[OUTPUT] + north * errors + j] * x[own[4] - 9 + j]
-        now[bias_drift.HEADING] = heading
-        now[bias_drift.APART] = heading - w[imu_checks.UNIT, imu_checks.TURNED]
-    for i in range(w.shape[0] - 1):
-        calm = calm and w[i, imu_checks.HEEDED] <= imu_checks.NOISY
-    calm = calm and w[imu_checks.UNIT, imu_checks.OFF_S] == 0.0
-    return bias_drift.compare_estimates(looks, now, gyros, x, P, calm)
+        latest_s = max(latest_s, _last_s(bench, plan[i]))
+    return latest_s
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)
@@ -806,7 +799,6 @@ def run_batch(
     stamps,
     limits,
     hearing,
-    looking,
     given,
     out,
 ):
@@ -818,7 +810,7 @@ def run_batch(
     x, P, acc) are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
     limits: of their values. hearing: `undone` (see `record_residual`; empty where nobody listens), ears of the
     channels, their `kalman.memory_offsets`, and (r, 1 + rows) for ticks and what `record_residual` notes of each
-    reading. looking: what `check_gyro_biases` takes last. given, of readings: when taken (r,), channel, samples before
+    reading. given, of readings: when taken (r,), channel, samples before
     it, whether Python has found nothing wrong with it, whether its value is that of the one before; values (r, w), and
     own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_propagated`.
     """
@@ -831,9 +823,9 @@ def run_batch(
     kept, facts = scattered
     m = acc.shape[1]
     period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
-    work = bench[spot[MEM] :]
+    work, bank = bench[spot[MEM] :], bench[spot[BANK] :]
     for i in range(plan.shape[0]):
-        plan[i, UNHEARD] = records.size == 0 and undone.size == 0
+        plan[i, UNHEARD] = records.size == 0 and undone.size == 0 and spot[BANK] == 0
     for e in range(cursor[READING], times.size):
         cursor[READING] = e
         i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
@@ -854,7 +846,7 @@ def run_batch(
                     return NEXT
                 cursor[GAPS] += gaps
                 cursor[STEPPED] = end
-            why = _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work)
+            why = _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work, bank)
             if why != DONE:
                 return why
         if not _has_room(cursor, spot[RECORD], rows, records, heads):
@@ -895,9 +887,13 @@ def run_batch(
             cursor[READING] = e + 1
             return LEARN
         if t >= settings[LOOK_S]:
-            if check_gyro_biases(bench, plan, nav, x, P, drive[5], now[TIME_S], *looking):
+            latest_s = _latest_s(bench, plan)
+            settings[LOOK_S] = (math.floor(latest_s / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S
+            suspected = fault_bank.look(bank, latest_s) > fault_bank.BELIEVED
+            now[UNNOTICED], now[UNNOTICED + 1] = bank[fault_bank.RADIUS_M], bank[fault_bank.HEADING_RAD]
+            _note_row(now, cursor, settings[INTERVAL_S], nav, x[: m - 9], x, P, acc, inertial, by, rows, info, work)
+            if suspected:
                 cursor[READING] = e + 1
                 return LOOK
-            settings[LOOK_S] = (math.floor(looking[2][bias_drift.TIME_S] / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S
     cursor[READING] = times.size
     return DONE

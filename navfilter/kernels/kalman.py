@@ -389,6 +389,13 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
     rank2_update(P, u, w)
     change = w[0]
     weighted(res, u, change)
+    turn[0] = feed_back(nav, x, change)
+    consistency.reset_heading(P, 0.5 * turn[0])
+
+
+@njit(cache=True, **UNCOUNTED)
+def feed_back(nav, x, change):
+    """Take an estimated error (n,) into the nominal state and the error states; returns what the heading turns by."""
     nav[0] += change[0] / nav[15]
     nav[1] += change[1] / (nav[16] * math.cos(nav[0]))
     nav[2] -= change[2]
@@ -407,8 +414,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
         nav[6 + j] = u + p * f + q * (y0 * h - z0 * g)
         nav[9 + j] = v + p * g + q * (z0 * f - x0 * h)
         nav[12 + j] = w + p * h + q * (x0 * g - y0 * f)
-    turn[0] = z0
-    consistency.reset_heading(P, 0.5 * z0)
+    return z0
 
 
 @njit(cache=True, **UNCOUNTED)

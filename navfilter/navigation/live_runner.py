@@ -195,7 +195,7 @@ class MeasurementFastPath:
             return None
         looks = False
         if time_s >= self._due_s:
-            looks_s = memory.monitor.look_s(self._filter.inertial)
+            looks_s = memory.monitor.look_s
             looks = time_s >= looks_s
             if self._is_early(time_s, looks_s, busy or looks):
                 return self.take(stamp_s, value, True)  # from what is in hand now
@@ -255,7 +255,7 @@ class MeasurementFastPath:
         correction = self._filter.concluded(channel, given.time_s, False, nav.on_event)
         nav.change_count += 1
         if nav.learning.listeners:  # nobody else: where the drive is cross-checked no reading comes here
-            nav.on_event(correction, given.value)
+            nav.on_event(correction)
         outcome = correction.outcome
         self._watch.on_outcome(outcome.status, given.time_s, outcome.nis, outcome.dof, self._memory.nav)
         return outcome
@@ -334,11 +334,7 @@ class MeasurementFastPath:
 def prompt_sample(nav: Run) -> ImuFastPath | None:
     """That of a navigator, where samples may be ordinary ones."""
     filter = nav.filter
-    plain = (
-        nav.history is not None
-        and nav.learning.rest is None
-        and not (filter.stationary_after or filter.monitor.cross_checks)
-    )
+    plain = nav.history is not None and nav.learning.rest is None and not filter.stationary_after
     return ImuFastPath(nav) if plain else None
 
 
@@ -346,6 +342,6 @@ def prompts(nav: Run) -> dict[str, MeasurementFastPath]:
     """Those of a navigator, by sensor: of readings that need not wait, where they may come late and no jump of the
     drive is looked for.
     """
-    if nav.history is None or nav.filter.monitor.cross_checks:
+    if nav.history is None:
         return {}
     return {name: MeasurementFastPath(nav, name) for name, sensor in nav.vehicle.sensors.items() if not sensor.lead_s}

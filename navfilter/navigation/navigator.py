@@ -293,15 +293,13 @@ class Navigator(NavigatorStatus):
                 self.early_rerun.before(item.time_s)
             self.learning.buffer_input(item)
         self.filter.propagate_to(item.name, item.time_s, self.on_event)
-        self.on_event(correction := self.filter.correct(item, self.on_event), item.value)
+        self.on_event(correction := self.filter.correct(item, self.on_event))
         self.filter.handle_pending(self.on_event)
         return correction.outcome
 
-    def on_event(self, event: Event, value: Array | None = None) -> None:
-        """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
+    def on_event(self, event: Event) -> None:
+        """Show learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
-        if self.filter.monitor.cross_checks:
-            self.filter.act(self.filter.monitor.on_event(self.filter, event, value), self.on_event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
 

@@ -82,5 +82,5 @@ class Run(Protocol):
     def finish(self) -> None:
         """Take the measurements that still wait: no more samples come."""
 
-    def on_event(self, event: Event, value: Array | None = None) -> None:
-        """Show the monitor and learning what the filter does."""
+    def on_event(self, event: Event) -> None:
+        """Show learning what the filter does."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from navfilter.faults import noise_scale, sensor_bias
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
-from navfilter.faults.imu import bias_drift
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
@@ -80,7 +79,7 @@ class BatchRunner:
         self._notes = np.empty((READINGS, 3 + 2 * most))
         self._same = self._repeated()
         monitor = nav.filter.monitor
-        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not monitor.cross_checks and monitor.in_batches
+        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and monitor.in_batches
         # beams have more directions than an ear of the kernel holds
         heard = all(
             listener.series_kernel.size == open_loop_residual.EAR for listener in nav.learning.listeners.values()
@@ -90,7 +89,7 @@ class BatchRunner:
         self._opened = np.empty((READINGS, 1 + noted))
         self.at, self.done, self._kept, self._until = 0, done, done, len(self._ends)
         self._begin = self._end = 0
-        self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 6), np.int64)
+        self._info, self._heads = np.empty((ROWS, 4)), np.empty((ROWS, 6), np.int64)
 
     def _watched(self) -> list[SensorMonitor]:
         return [self.nav.sensor_monitors[name] for name in self._readings.names]
@@ -254,7 +253,7 @@ class BatchRunner:
                 for change in self.nav.learning.learn(self._readings.names[self._readings.sensor[self.at - 1]]):
                     self.nav.filter.adopt(change, self.nav.on_event)
             if why in (kernels.LEARN, kernels.LOOK):
-                self.nav.filter.act(bias_drift.check_biases(self.nav.filter), self.nav.on_event)
+                self.nav.filter.act(self.nav.filter.monitor.look(self.nav.filter), self.nav.on_event)
         return kernels.NEXT if why in GOES_ON else why
 
     def _hearing(self) -> Hearing:
@@ -278,7 +277,7 @@ class BatchRunner:
         memory, intake, tape = filter.memory, filter.memory.intake, filter.tape
         for channel in self._channels:
             channel.gate[:] = channel.limits
-        now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
+        now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape), *filter.unnoticed])
         cursor = np.zeros(kernels.CURSOR, np.int64)
         cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
         cursor[kernels.STEPPED] = self._stepped
@@ -306,7 +305,6 @@ class BatchRunner:
                 self._stamps,
                 filter.intake.limits,
                 hearing,
-                bias_drift.looking(filter),
                 (
                     *(given.time_s[part], given.sensor[part], self._ends[part] - self._first, self._good),
                     *(self._same[part], self._z, self._variances, self._notes),
@@ -348,7 +346,7 @@ class BatchRunner:
         interval_s = math.inf if tape is None else tape.interval_s
         steps, gravity = filter.memory.drv[strapdown.INCREMENTS], filter.vehicle.drive.gravity
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        due = filter.stationary_after, filter.memory.monitor.look_s(filter.inertial)
+        due = filter.stationary_after, filter.memory.monitor.look_s
         return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
     def _output(self, cursor: Ints) -> Output:

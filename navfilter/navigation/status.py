@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import protection_level, settings
+from navfilter.faults import fault_bank, protection_level, settings
 from navfilter.faults.alternative_path import since_fix
 from navfilter.faults.bias_plausibility import beside
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
@@ -97,7 +97,9 @@ def health_of(
     age_s, moved_m = memory.time_s - fix[0], _distance(memory.nav, *fix[1:])
     beside_m = max((since_fix(filter, channel).length for channel in channels.values()), default=0.0)
     compared = filter.inertial or any(channel.sensor.observes.corrects == "heading" for channel in channels.values())
-    radius_m, heading_rad = protection_level.bounds(P, age_s, moved_m, off, held, slow, beside_m, compared)
+    radius_m, heading_rad = protection_level.bounds(
+        P, age_s, moved_m, off, held, slow, beside_m, compared, *filter.unnoticed
+    )
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
     rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
@@ -109,6 +111,7 @@ def health_of(
         if s.condition not in CALM and not (s.condition == "silent" and (name in fixes or _stood_in(name, sensors)))
     ]
     doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
+    doubts += fault_bank.suspected(filter)
     return Health(
         sensors,
         dict(memory.counts) | clock.counts,

@@ -41,6 +41,8 @@ class _Rows:
         self.at = {name: i for i, name in enumerate(self.names)}
         self.time_s = np.concatenate([np.array(tape.row_times)[rows.start : rows.stop] for tape, rows in parts])
         self.packed, self.P = np.empty((n, 17)), np.empty((n, 9, 9))
+        unnoticed = [np.array(tape.row_unnoticed).reshape(-1, 2)[rows.start : rows.stop] for tape, rows in parts]
+        self.unnoticed = np.concatenate(unnoticed)
         self.x, self.variance = np.empty((n, len(units))), np.empty((n, len(units)))
         if any(len(tape.layouts) > 1 for tape, _ in parts) or len(parts) > 1:
             self.x[:], self.variance[:] = np.nan, np.nan
@@ -81,13 +83,14 @@ def _group(name: str, groups: list[str]) -> int:
 def forward_track(nav: Navigator, name: str, cpu_s: float) -> Track:
     """The track as first given out, with what was made of it later where something was run again."""
     tape = _tape(nav)
-    first = assembled("forward", nav, gathered(tape.first_rows()), name, cpu_s)
+    rows = gathered(tape.first_rows())
+    first = assembled("forward", nav, rows, name, cpu_s)
     if tape.given is None:
-        return dataclasses.replace(first, bounds=bounds_along(first))
+        return dataclasses.replace(first, bounds=bounds_along(first, rows.unnoticed))
     revised = assembled("revised", nav, gathered([(tape, range(len(tape.row_times)))]), name, cpu_s)
     residuals, models = tape.first_residuals(), tape.first_models()
     first = dataclasses.replace(first, residuals=residuals, error_models=models, revised=revised)
-    return dataclasses.replace(first, bounds=bounds_along(first))
+    return dataclasses.replace(first, bounds=bounds_along(first, rows.unnoticed))
 
 
 def gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:

@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def bounds_along(track: Track) -> Array:
+def bounds_along(track: Track, unnoticed: Array) -> Array:
     """Protection radius [m] and bound of the heading [rad] at each row of a forward track, shape (n, 2).
 
     Parameters
     ----------
     track : Track
         As the filter gave it out; a smoothed one knows more than these bounds are about.
+    unnoticed : ndarray, shape (n, 2)
+        What faults that nobody has noticed may have done to position [m] and heading [rad].
     """
     off: dict[str, Array] = {}
     fixes = []
@@ -43,7 +45,7 @@ def bounds_along(track: Track) -> Array:
     refused = [_refused_way(track, name, track.time_s - away[0]) for name in track.residuals]
     beside_m = np.max(refused, axis=0, initial=0.0)
     compared = inertial or any(track.vehicle.sensors[name].observes.corrects == "heading" for name in track.residuals)
-    return np.column_stack(bounds(track.covariance, *away, off, inertial, slow, beside_m, compared))
+    return np.column_stack(bounds(track.covariance, *away, off, inertial, slow, beside_m, compared, *unnoticed.T))
 
 
 def _off(track: Track, name: str) -> Array:

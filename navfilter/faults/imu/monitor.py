@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import settings
-from navfilter.faults.imu import gyro_scale
+from navfilter.faults.imu import contradiction, gyro_scale
 from navfilter.filter.actions import Action, AxisCondition, Count, Fold, Inflate, Reweigh
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.monitor import FilterState
@@ -190,7 +190,7 @@ class ImuMonitor:
             gyro_scale.check_readmission(filter)
             for first in (0, 3):
                 if memory.time_s > w[first, kernel.UNTIL_S]:
-                    yield from filter.monitor.glr.take_back(w[first : first + 3], first, filter)
+                    yield from contradiction.take_back(w[first : first + 3], first, filter)
             self.refer(w, memory.nav, memory.P)
         if not calm:
             yield Reweigh()  # last: from the same memory it comes out the same, whenever it is recalled

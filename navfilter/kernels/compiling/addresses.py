@@ -49,7 +49,6 @@ STRETCH = (
     types.Tuple((_ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE, _ROW, _ROW)),
     *(_TABLE, _ROW, _ROW),
     types.Tuple((_ROW, _TABLE, _MATRIX_OF_PLACES, _TABLE)),
-    types.Tuple((_TABLE, _TABLE, _ROW)),
     types.Tuple((_ROW, _PLACES, _PLACES, _READINGS, _READINGS, _TABLE, _TABLE, _TABLE)),
     types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES, _TABLE)),
 )

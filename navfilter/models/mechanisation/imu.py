@@ -75,8 +75,6 @@ class Imu(Mechanisation):
         [m/s^2].
     max_rate, max_force : float
         A sample beyond them is a defect of the recording, not a motion [rad/s], [m/s^2].
-    cross_check : bool
-        Compass and DVL together may contradict it: it is then left out for a while (`navfilter.faults.imu.bias_glr`).
 
     Notes
     -----
@@ -98,7 +96,6 @@ class Imu(Mechanisation):
     gap_force_sd: float = 0.3
     max_rate: float = 50.0
     max_force: float = 1000.0
-    cross_check: bool = False
 
     streams: ClassVar[tuple[str, ...]] = ("imu",)
     triples: ClassVar[tuple[str, str]] = ("gyro", "accel")

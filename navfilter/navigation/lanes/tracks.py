@@ -69,7 +69,8 @@ def _forward(run: LaneReplay, mission: Mission, began: float) -> Track:
         for (begin_s, name), end_s in zip(run.changes, ends, strict=True)
     ]
     parts = [part for stretch in stretches for part in _rows(stretch)]
-    track = assembled("forward", run.believed.nav, gathered(parts), mission.name, time.process_time() - began)
+    rows = gathered(parts)
+    track = assembled("forward", run.believed.nav, rows, mission.name, time.process_time() - began)
     sensors = run.vehicle.sensors
     models: dict[str, list[tuple[float, Any]]] = {}
     for tape, begin_s, end_s in stretches:
@@ -87,7 +88,7 @@ def _forward(run: LaneReplay, mission: Mission, began: float) -> Track:
         lanes=tuple((max(time_s, run.start.time_s), name) for time_s, name in run.changes),
         lane_history=run.history,
     )
-    bounds = bounds_along(track)
+    bounds = bounds_along(track, rows.unnoticed)
     for (begin_s, name), end_s in zip(run.changes, ends, strict=True):
         if name == DEAD_RECKONING:  # nothing holds it against its velocity
             bounds[(track.time_s > begin_s) & (track.time_s <= end_s), 0] = math.inf

@@ -1,0 +1,236 @@
+"""A bank of faults: what may go wrong slowly, as hypotheses with a prior, and what follows from the likeliest.
+
+No gate sees a fault that grows slowly: the filter follows it, and every reading fits. But all innovations together tell
+it, as a mean that only this fault explains (`navfilter.kernels.fault_bank`). A fault is a signature, such as a constant
+of a compass, a bottom that moves ever faster, a step of a gyro's bias, and an onset. It is put in force when it is so
+much likelier than none as an error of four in a thousand demands; with it all that explain the innovations of the same
+window nearly as well. State and covariance are then conditioned on what the innovations have told of their sizes since
+the onset (Friedland, 1969), and the sensor gets states for what it is off by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults import settings
+from navfilter.filter.actions import Action, Adopt, Correct, Count
+from navfilter.filter.model_change import Change
+from navfilter.filter.monitor import Actions, FilterState
+from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.state_layout import Layout
+from navfilter.kernels import fault_bank as kernel
+from navfilter.kernels.fault_bank import FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.fault_bias import currents, offset_states, with_offsets
+from navfilter.models.sensors.observable import Observable
+
+Array = NDArray[np.float64]
+
+
+def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
+    """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them; shape (c, TABLE)."""
+    rows: list[tuple[float, ...]] = []
+
+    def add(channel: int, sd: float, *kinds: tuple[int, int]) -> None:
+        for k, (kind, place) in enumerate(kinds):
+            rate = math.log(settings.FAULTS_PER_S)
+            rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0))
+
+    for i, channel in enumerate(channels):
+        north = channel.sensor.observes.north
+        if channel.ground:
+            for kind in (FLOW_STEP, FLOW_RAMP):
+                add(i, settings.FLOW_SD, (kind, 0), (kind, 1))
+        if north is not None:
+            add(i, settings.HEADING_SD, (STEP, north))
+            add(i, settings.HEADING_SD, (RAMP, north))
+    drive = layout.drive
+    for states in drive.biases:
+        for state in states[:1]:
+            add(-1, settings.BIAS_SDS * math.sqrt(drive.P0[state, state]), (STATE, drive.start + int(state)))
+    return np.array(rows).reshape(-1, TABLE)
+
+
+def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
+    """Numbers that a bank remembers, and how many more it works with; none where hardly anything may go wrong."""
+    c = len(signatures(layout, channels.values()))
+    if c < 2:  # so many columns a wide register takes
+        return 0, 0
+    most = max([layout.head, *(3 * channel.axes + 1 for channel in channels.values())])
+    remembered = kernel.ONSETS + WINDOWS + c * TABLE + WINDOWS * c * (layout.size + 2 + WINDOWS * c)
+    remembered += len(channels) * kernel.HEARD
+    return remembered, most * WINDOWS * c
+
+
+def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+    """A bank whose windows all begin now."""
+    table = signatures(layout, channels.values())
+    bank = np.zeros(room(layout, channels)[0])
+    if not bank.size:
+        return bank
+    bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0
+    parts(bank)[6][:, [kernel.SQUARE, kernel.TOLD]] = kernel.DOUBLED, kernel.DOUBTED
+    parts(bank)[1][:] = table
+    for w in range(WINDOWS):
+        kernel.begin_window(bank, w, time_s)
+    return bank
+
+
+def parts(bank: Array) -> tuple[Array, ...]:
+    """Onsets (w,), table (c, TABLE), D (n, w c), s (w c,), J (w c, w c), what is on top of the odds (w c,), and what is
+    known of the channels (channels, HEARD), as views.
+    """
+    c, n, channels = bank[[kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS]].astype(int).tolist()
+    sizes = WINDOWS, c * TABLE, n * WINDOWS * c, WINDOWS * c, (WINDOWS * c) ** 2, WINDOWS * c, channels * kernel.HEARD
+    ends = np.cumsum((kernel.ONSETS, *sizes))
+    N = WINDOWS * c
+    shapes = (WINDOWS,), (c, TABLE), (n, N), (N,), (N, N), (N,), (channels, kernel.HEARD)
+    return tuple(bank[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
+
+
+def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Channel]) -> Array:
+    """The bank of a filter whose error states have become M times what they were; shape (n_after, n_before)."""
+    onsets, _, D, s, J, more, heard = parts(bank)
+    after = np.zeros(room(layout, channels)[0])
+    after[: kernel.ONSETS] = bank[: kernel.ONSETS]
+    after[kernel.STATES] = layout.size
+    now = parts(after)
+    now[0][:], now[1][:], now[3][:] = onsets, signatures(layout, channels.values()), s
+    now[4][:], now[5][:], now[6][:] = J, more, heard
+    now[2][:] = M @ D
+    return after
+
+
+def look(filter: FilterState) -> Actions:
+    """Look for slow faults, if it is time, after a reading has been taken; whether it was."""
+    monitor, bank = filter.memory.monitor, filter.bank
+    latest_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)
+    due = latest_s > -math.inf and latest_s >= monitor.look_s
+    if due:
+        kernel.look(bank, latest_s)
+    yield from judge(filter)
+    return due
+
+
+def judge(filter: FilterState) -> Iterator[Action]:
+    """Put the likeliest faults in force, where one is believed."""
+    memory = filter.memory
+    bank = memory.monitor.bank
+    if not len(bank) or not bank[kernel.ODDS] > kernel.BELIEVED:
+        return
+    bank[kernel.ODDS] = -math.inf
+    if memory.monitor.is_busy:  # what stands in place of an axis is not what the filter thinks it is
+        bank[:] = begun(filter.layout, filter.channels, memory.time_s)
+        return
+    onsets, table, _, s, J = parts(bank)[:5]
+    begins = np.flatnonzero(table[:, kernel.TOGETHER] > 0.0)
+    odds = np.array([[_judged(bank, w, int(k), memory.time_s)[0] for k in begins] for w in range(WINDOWS)])
+    window = int(np.argmax(odds.max(axis=1)))
+    likely = begins[odds[window] > odds[window].max() - kernel.BELIEVED]
+    chosen = np.concatenate([np.arange(k, k + int(table[k, kernel.TOGETHER])) for k in likely])
+    grows, age_s = _grows(table[chosen]), max(memory.time_s - onsets[window], 1.0)
+    now = np.where(grows, age_s, 1.0)
+    at = window * len(table) + chosen
+    M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(now**2 / table[chosen, kernel.VARIANCE]))
+    m = M @ s[at]
+    own = {}
+    for i in np.unique(table[chosen, kernel.CHANNEL].astype(int)):
+        if i < 0:
+            continue
+        channel, mine = list(filter.channels.values())[i], np.flatnonzero(table[chosen, kernel.CHANNEL] == i)
+        for k in mine:
+            own[k] = channel, int(table[chosen[k], kernel.KIND]), int(table[chosen[k], kernel.PLACE])
+        if not all(_state(*own[k]) for k in mine):
+            known, off = now[mine] * np.sqrt(np.diag(M))[mine], now[mine] * np.sqrt(m**2 + np.diag(M))[mine]
+            wanders = float(np.linalg.norm(off[grows[mine]])) / math.sqrt(age_s)
+            yield Adopt(Change(channel.name, _opened(filter, channel, float(known.max()), wanders), offsets=True))
+        yield Count("jumped")
+    bank = memory.monitor.bank
+    D, s, J = parts(bank)[2:5]
+    done = D[:, at]
+    for k, (channel, kind, place) in own.items():
+        done[_state(channel, kind, place), k] = now[k]
+    yield Correct(done @ m, done @ M @ done.T)
+    if -1 in table[chosen, kernel.CHANNEL]:
+        yield Count("shifted")
+    # of the others is left what these do not explain
+    by = M @ J[at]
+    D -= done @ by
+    s -= J[:, at] @ m
+    J -= J[:, at] @ by
+    kernel.begin_window(bank, window, memory.time_s)
+
+
+def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
+    """Note that the position is set to a fix that was refused: a fault that leads it so far away has become likelier.
+
+    Without a fault fixes or position have jumped since the last one that was used, which is as rare as a fault.
+    """
+    bank = filter.memory.monitor.bank
+    if not bank.size or channel.sensor.observes is not Observable.FIX:
+        return
+    onsets, table, D, _, _, more, _ = parts(bank)
+    a, known = channel.axes, np.isfinite(channel.note[3 + channel.axes :])
+    y, S, G = channel.note[3 : 3 + a][known], channel.S[:a][np.ix_(known, known)], channel.H[known] @ D
+    rare = math.log(settings.FAULTS_PER_S * max(time_s - channel.memory.used_s, channel.period_s))
+
+    def likely(spread: Array) -> float:
+        return float(-0.5 * (y @ np.linalg.solve(S + spread, y) + np.linalg.slogdet(S + spread)[1]))
+
+    jumped = likely(settings.JUMP_M**2 * np.eye(len(y)))
+    for w, onset_s in enumerate(onsets):
+        V = table[:, kernel.VARIANCE] / np.where(_grows(table), max(time_s - onset_s, 1.0), 1.0) ** 2
+        for k in np.flatnonzero(table[:, kernel.TOGETHER] > 0.0):
+            own = np.arange(k, k + int(table[k, kernel.TOGETHER]))
+            by = G[:, w * len(table) + own]
+            more[w * len(table) + k] += max(min(likely(by * V[own] @ by.T) - jumped, 0.0) - rare, 0.0)
+
+
+def _grows(table: Array) -> NDArray[np.bool_]:
+    return np.isin(table[:, kernel.KIND], (RAMP, FLOW_RAMP))
+
+
+def suspected(filter: FilterState) -> list[str]:
+    """What is likelier than not to have gone wrong, in words, with its odds."""
+    bank = filter.bank
+    if not bank.size or not bank[kernel.ODDS] > 0.0:
+        return []
+    table, time_s = parts(filter.memory.monitor.bank)[1], float(bank[kernel.LOOKED_S])
+    names: list[str] = [*filter.channels]
+    found: dict[str, float] = {}
+    for k in np.flatnonzero(table[:, kernel.TOGETHER] > 0.0):
+        odds = max(_judged(bank, w, int(k), time_s)[0] for w in range(WINDOWS))
+        of = int(table[k, kernel.CHANNEL])
+        name = "the inertial unit" if of < 0 else names[of]
+        found[name] = max(odds, found.get(name, 0.0))
+    return [f"{name} may err slowly (odds {math.exp(min(o, 20.0)):.2g} to 1)" for name, o in found.items() if o > 0.0]
+
+
+def _judged(bank: Array, window: int, signature: int, time_s: float) -> Array:
+    """See `navfilter.kernels.fault_bank.judged`."""
+    out = np.zeros(5)
+    kernel.judged(bank, window, signature, time_s, out)
+    return out
+
+
+def _opened(filter: FilterState, channel: Channel, size: float, wanders: float) -> tuple[ErrorModel, ...]:
+    """Error models of a sensor with states for what it is off by."""
+    north, models = channel.sensor.observes.north, channel.sensor.models
+    if north is not None:
+        return with_offsets(models, size, density=wanders, only=north, deviates=True)
+    speed = math.hypot(*filter.memory.nav[3:6].tolist())
+    return with_offsets(models, size, max(speed, settings.SLOW), density=wanders)
+
+
+def _state(channel: Channel, kind: int, place: int) -> list[int]:
+    """Which state is the size of a fault of a sensor; none where it has none such."""
+    models, period_s = channel.sensor.models, channel.period_s
+    if kind in (FLOW_STEP, FLOW_RAMP):
+        found = [state for state, component in currents(models, period_s) if component == place]
+    else:
+        found = offset_states(models, period_s, place).tolist()[:1]
+    return [channel.group.start + state for state in found]

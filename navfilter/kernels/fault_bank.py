@@ -1,0 +1,295 @@
+"""The recursion of a bank of faults: what each would have done to the filter, and what the innovations say of it.
+
+Generalised likelihood ratios of Willsky and Jones (1976). A hypothesis is a signature and an onset: from then on a
+fault of unit size acts on a reading (F) or on a state of the drive. The nominal filter knows nothing of it, and carries
+an error D of its state along; its innovations then have the mean G = H D + F::
+
+    D <- Phi D,    J += G' S^-1 G,    s += G' S^-1 y,    D <- D - K G
+
+J is the information that the innovations y have of the size, and s the score. With a prior N(0, V) of the size its
+posterior is N(M s, M), M = (J + V^-1)^-1, and what it adds to the log likelihood is s' M s / 2 - log |I + V J| / 2.
+
+``bank``: the head below, the onsets of the windows, a row of `TABLE` for each signature, then, by window and
+signature, D (states, columns), s (columns,), J (columns, columns), what is on top of the log odds (columns,), and a row
+of `HEARD` for each channel; behind that work space.
+
+Innovations whose sums from look to look are larger than white ones' are of an error model that is wrong: they count as
+much less, for a fault is no more than what they would not be without it.
+"""
+
+import math
+
+import numpy as np
+
+from navfilter.kernels import symmetric
+from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.vectors import less_half, rank2_update, weighted
+
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
+# Head: signatures, states, channels, looks so far, time of the last look; log odds of the likeliest fault then, and how
+# far faults that nobody has noticed may have moved the position and turned the heading.
+SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, ONSETS = range(9)
+# A signature: how it acts; the channel that it is of (-1: none); an axis of that, north or east, or a state; the
+# variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second, and how many
+# signatures are of one fault with it (0: it belongs to the one before).
+KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, TABLE = range(7)
+# How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
+# against; a step of a state of the drive.
+STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE = range(5)
+# A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand.
+BELIEVED = 10.0
+# Windows: the onset of each is moved on half as often as that of the one before; the first at each look.
+WINDOWS = 6
+# Of each channel: mean square of the sums of its innovations from look to look, in their sd, and mean product of one
+# with the next; from how many looks these are told; readings since the last look, the sums of their axes, and those
+# before; and how much larger than white ones they were before the onset of each window (0: hardly anything was told).
+SQUARE, PRODUCT, TOLD, READINGS, SUMS = range(5)
+AXES = 8
+BEFORE = SUMS + 2 * AXES
+HEARD = BEFORE + WINDOWS
+# Before anything is told an error may be twice as large as described, as by so many looks; it is told by so many looks
+# at most, each of which says no more than so much; none is correlated with the next by more than that.
+DOUBLED, DOUBTED, MEMORY, MOST, CORRELATED = 4.0, 5.0, 60.0, 10.0, 0.98
+# After so many looks it is told.
+SETTLED = 20.0
+# Until so many looks what innovations tell is of the start.
+CONFIRMED = 6
+# Share of the time that the truth may lie beyond a bound [1].
+RISK = 1e-3
+
+
+@njit(cache=True, **UNCOUNTED)
+def places(bank):
+    """Where table, D, s, J, what is on top of the odds, what is known of channels and the work space begin."""
+    c, n = int(bank[SIGNATURES]), int(bank[STATES])
+    table = ONSETS + WINDOWS
+    D = table + c * TABLE
+    s = D + n * WINDOWS * c
+    J = s + WINDOWS * c
+    more = J + (WINDOWS * c) ** 2
+    heard = more + WINDOWS * c
+    return table, D, s, J, more, heard, heard + int(bank[CHANNELS]) * HEARD
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def carry(bank, Phi, first):
+    """D <- Phi D for the states from `first` on; Phi (k, k)."""
+    columns, m = WINDOWS * int(bank[SIGNATURES]), Phi.shape[0]
+    _, begin, end, _, _, _, room = places(bank)
+    D, work = shaped(bank[begin:end], int(bank[STATES]), columns), shaped(bank[room : room + m * columns], m, columns)
+    for i in range(m):
+        if _moves(Phi, i):
+            weighted(Phi[i], D[first : first + m], work[i])
+    for i in range(m):
+        if _moves(Phi, i):
+            symmetric.copy(work[i], D[first + i])
+
+
+@njit(cache=True, **UNCOUNTED)
+def _moves(Phi, i):
+    """Whether a state becomes anything but itself."""
+    others = 0
+    for r in range(Phi.shape[0]):
+        others += r != i and Phi[i, r] != 0.0
+    return others > 0 or Phi[i, i] != 1.0
+
+
+@njit(cache=True, **UNCOUNTED)
+def _larger(own):
+    """How much larger the variance of a long sum of innovations is than that of white ones of their sd."""
+    correlation = max(0.0, min(own[PRODUCT] / own[SQUARE], CORRELATED))
+    return max(own[SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
+    """A reading as the filter left it in its channel's memory.
+
+    dims, at: see `kalman.memory_offsets`; near (a, 9 + parameters): its Jacobian; channel: its place among all; counts:
+    whether its innovation is evidence; used: whether it corrected the state.
+    """
+    a, n, c = dims[0], dims[1], int(bank[SIGNATURES])
+    columns = WINDOWS * c
+    first, begin, score, information, more, heard, room = places(bank)
+    own = bank[heard + channel * HEARD :][:HEARD]
+    table, D = shaped(bank[first:begin], c, TABLE), shaped(bank[begin:score], n, columns)
+    G, Z = (
+        shaped(bank[room : room + a * columns], a, columns),
+        shaped(bank[room + a * columns :][: a * columns], a, columns),
+    )
+    iH, iK, iS, iv = at[0], at[1], at[5], at[8]
+    for i in range(a):
+        row, seen = G[i], not math.isnan(mem[iv + 3 + a + i])
+        if not seen:
+            for k in range(columns):
+                row[k] = 0.0
+            continue
+        weighted(mem[iH + i * n : iH + (i + 1) * n], D, row)
+        for k in range(c):
+            if table[k, CHANNEL] != channel:
+                continue
+            kind, place = int(table[k, KIND]), int(table[k, PLACE])
+            unit = 0.0
+            if kind in (FLOW_STEP, FLOW_RAMP):
+                unit = -near[i, 3 + place]
+            elif i == place:
+                unit = 1.0
+            for w in range(WINDOWS):
+                aged = kind in (RAMP, FLOW_RAMP)
+                row[w * c + k] += unit * (time_s - bank[ONSETS + w]) if aged else unit
+    if counts:
+        now, half = _larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
+        own[READINGS] += 1.0
+        for i in range(a):
+            weighted(mem[iS + (a + i) * a : iS + (a + i + 1) * a], G, Z[i])
+            if not math.isnan(mem[iv + 3 + a + i]):
+                own[SUMS + i] += mem[iv + 3 + i] / math.sqrt(mem[iv + 3 + a + i])
+            for w in range(WINDOWS):
+                share = 1.0 / math.sqrt(own[BEFORE + w] if own[BEFORE + w] > 0.0 else now)
+                for k in range(w * c, w * c + c):
+                    Z[i, k] *= share
+                    half[i, k] = -0.5 * share * G[i, k]
+                    if not math.isnan(mem[iv + 3 + a + i]):
+                        bank[score + k] += Z[i, k] * mem[iv + 3 + i] * share
+        rank2_update(shaped(bank[information:more], columns, columns), Z, half)
+    if used:
+        few, before = flat(scratch(np.float64, int(1), a)), bank[room + 3 * a * columns :][:columns]
+        for j in range(n):
+            for i in range(a):
+                few[i] = 2.0 * mem[iK + j * a + i]
+            symmetric.copy(D[j], before)
+            less_half(before, few, G, D[j])
+        _turn(D, mem[at[4] : at[5]])
+
+
+@njit(cache=True, **UNCOUNTED)
+def _turn(D, turn):
+    """What the filter's errors count from has changed with the state: heading, velocity and tilts, as in a record for
+    the smoother (`kalman.smooth_record`).
+    """
+    z, p, q = 0.5 * turn[0], 0.5 * turn[4], 0.5 * turn[5]
+    for k in range(D.shape[1]):
+        x, y, h = D[6, k], D[7, k], D[8, k]
+        x, y = x - z * y, y + z * x
+        D[3, k] -= turn[2] * h - turn[3] * y
+        D[4, k] -= turn[3] * x - turn[1] * h
+        D[5, k] -= turn[1] * y - turn[2] * x
+        D[6, k], D[7, k], D[8, k] = x + q * h, y - p * h, h + p * y - q * x
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def judged(bank, window, k, time_s, out):
+    """What innovations say of the fault that begins with signature k, with its onset in a window: its log odds against
+    none [nat]; the size of what it has done to the position if it is there, the sd of that along its longest axis [m];
+    and the same of the heading [rad]. out (5,).
+    """
+    c, n = int(bank[SIGNATURES]), int(bank[STATES])
+    first, begin, score, information, more, _, _ = places(bank)
+    own = first + k * TABLE
+    together, age_s = int(bank[own + TOGETHER]), max(time_s - bank[ONSETS + window], 1.0)
+    # a ramp has come to as much as a step by now, whenever it began
+    V = bank[own + VARIANCE] / (age_s**2 if bank[own + KIND] == RAMP or bank[own + KIND] == FLOW_RAMP else 1.0)
+    at = window * c + k
+    s, J = score + at, information + at * (WINDOWS * c + 1)
+    # M, the covariance of one size or two
+    p, q, r, one, two = bank[J] + 1.0 / V, 0.0, 1.0 / V, bank[s], 0.0
+    if together == 2:
+        q, r, two = bank[J + 1], bank[J + WINDOWS * c + 1] + 1.0 / V, bank[s + 1]
+    whole = p * r - q * q
+    m, u = (r * one - q * two) / whole, (p * two - q * one) / whole
+    out[0] = 0.5 * (one * m + two * u) - 0.5 * math.log(whole * V * V) + bank[own + RATE] + math.log(age_s)
+    out[0] += bank[more + at]
+    D = shaped(bank[begin:score], n, WINDOWS * c)
+    then = at + 1 if together == 2 else at
+    north, east, turned = D[0, at] * m, D[1, at] * m, D[8, at] * m
+    a, b, e = D[0, at] ** 2 * r, D[0, at] * D[1, at] * r, D[1, at] ** 2 * r
+    spread = D[8, at] ** 2 * r
+    if together == 2:
+        north, east, turned = north + D[0, then] * u, east + D[1, then] * u, turned + D[8, then] * u
+        a += D[0, then] ** 2 * p - 2.0 * q * D[0, at] * D[0, then]
+        b += D[0, then] * D[1, then] * p - q * (D[0, at] * D[1, then] + D[0, then] * D[1, at])
+        e += D[1, then] ** 2 * p - 2.0 * q * D[1, at] * D[1, then]
+        spread += D[8, then] ** 2 * p - 2.0 * q * D[8, at] * D[8, then]
+    longest = 0.5 * (a + e) + math.hypot(0.5 * (a - e), b)
+    out[1], out[2] = math.hypot(north, east), math.sqrt(max(longest / whole, 0.0))
+    out[3], out[4] = abs(turned), math.sqrt(max(spread / whole, 0.0))
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def begin_window(bank, window, time_s):
+    """Faults of a window begin now."""
+    c, n = int(bank[SIGNATURES]), int(bank[STATES])
+    first, begin, score, information, more, heard, _ = places(bank)
+    bank[ONSETS + window] = time_s
+    for i in range(int(bank[CHANNELS])):
+        own = bank[heard + i * HEARD :][:HEARD]
+        own[BEFORE + window] = _larger(own) if own[TOLD] >= SETTLED else 0.0
+    D = shaped(bank[begin:score], n, WINDOWS * c)
+    for i in range(n):
+        for k in range(c):
+            D[i, window * c + k] = 0.0
+    columns = WINDOWS * c
+    for k in range(c):
+        at = window * c + k
+        bank[score + at], bank[more + at] = 0.0, 0.0
+        for j in range(columns):
+            bank[information + at * columns + j] = 0.0
+            bank[information + j * columns + at] = 0.0
+        if bank[first + k * TABLE + KIND] == STATE:
+            D[int(bank[first + k * TABLE + PLACE]), window * c + k] = 1.0
+
+
+@njit(cache=True, **UNCOUNTED)
+def _told(own):
+    """What the readings of a channel since the last look tell of its error model."""
+    if own[READINGS] == 0.0:
+        return
+    square, product, axes = 0.0, 0.0, 0
+    for i in range(SUMS, SUMS + AXES):
+        if own[i] != 0.0:
+            mean = max(-MOST, min(own[i] / math.sqrt(own[READINGS]), MOST))
+            square, product, axes = square + mean**2, product + mean * own[i + AXES], axes + 1
+            own[i], own[i + AXES] = 0.0, mean
+    if axes > 0:
+        own[TOLD] = min(own[TOLD] + 1.0, MEMORY)
+        own[SQUARE] += (square / axes - own[SQUARE]) / own[TOLD]
+        own[PRODUCT] += (product / axes - own[PRODUCT]) / own[TOLD]
+    own[READINGS] = 0.0
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def look(bank, time_s):
+    """Log odds of the likeliest fault. That and what faults that nobody has noticed may have done to position and
+    heading stand in the head then; the onset of a window that says nothing is moved on when it is its turn.
+    """
+    c, most, turn, out = int(bank[SIGNATURES]), -math.inf, int(bank[LOOKS]), flat(scratch(np.float64, int(1), int(5)))
+    first, heard = places(bank)[0], places(bank)[5]
+    for i in range(int(bank[CHANNELS])):
+        _told(bank[heard + i * HEARD :][:HEARD])
+    bank[RADIUS_M], bank[HEADING_RAD] = 0.0, 0.0
+    for w in range(WINDOWS):
+        best = -math.inf
+        for k in range(c):
+            if bank[first + k * TABLE + TOGETHER] > 0.0:
+                judged(bank, w, k, time_s, out)
+                if out[0] > best:
+                    best = out[0]
+                # no further with a fault of this probability than with the risk in all (Rayleigh's distribution)
+                share = 1.0 / (1.0 + math.exp(-out[0])) / RISK
+                if share > 1.0 and turn >= CONFIRMED:
+                    sds = math.sqrt(2.0 * math.log(share))
+                    bank[RADIUS_M] = max(bank[RADIUS_M], out[1] + sds * out[2])
+                    bank[HEADING_RAD] = max(bank[HEADING_RAD], out[3] + sds * out[4])
+        if turn < CONFIRMED or (turn % 2 ** (w + 1) == 2**w and best < 0.0):
+            begin_window(bank, w, time_s)
+        if turn >= CONFIRMED and best > most:
+            most = best
+    bank[LOOKS], bank[LOOKED_S], bank[ODDS] = turn + 1.0, time_s, most
+    return most

@@ -1,0 +1,258 @@
+"""Slow faults that no gate sees are told by the innovations of all sensors, and what they did is taken back."""
+
+import dataclasses
+import functools
+import math
+
+import naive
+import numpy as np
+import pytest
+from kernel_inputs import assert_close, random_nav, run_both, spd
+from test_agreement import altered, feed, fly
+
+import navfilter as nf
+from navfilter.faults import fault_bank
+from navfilter.foundation.state_values import differences
+from navfilter.kernels import fault_bank as kernels
+from navfilter.kernels import kalman
+from navfilter.models.state import matrix_from_euler
+from navfilter.navigation import runner
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+DEG = math.pi / 180.0
+DEG_H = DEG / 3600.0
+END_S, DIVE_S, SHIFT_S = 490.0, 140.0, 200.0
+
+
+@functools.cache
+def long_dive(back_s=math.inf, mems=False):
+    """Fixes for 140 s, then none until `back_s`."""
+    vehicle = survey_vehicle(mems=mems)
+    fixes = {"gps": Faults(available=((0.0, DIVE_S), (back_s, math.inf)))}
+    return vehicle, simulate(vehicle, survey(END_S, surface_s=110.0), seed=8, duration_s=END_S, faults=fixes)
+
+
+def shifted_by(mission, axis, deg_h):
+    return altered(mission, "imu", lambda v: v + np.eye(6)[axis] * deg_h * DEG_H, SHIFT_S)
+
+
+def over_a_bottom(mission, flows, begin_s):
+    """The mission over a bottom that moves; `flows` takes the age [s], (k,), and gives north and east [m/s], (k, 2)."""
+    stream, truth = mission.streams["dvl"], mission.truth
+    attitude = [np.interp(stream.time_s, truth.time_s, np.unwrap(angle)) for angle in truth.value[:, 6:9].T]
+    C = np.array([matrix_from_euler(*angles) for angles in zip(*attitude, strict=True)])
+    age = np.maximum(stream.time_s - begin_s, 0.0)
+    flow = np.column_stack([flows(age), np.zeros(len(age))]) * (stream.time_s >= begin_s)[:, None]
+    value = stream.value - np.einsum("kji,kj->ki", C, flow)
+    return mission.with_stream("dvl", nf.Stream(stream.time_s, value, stream.columns))
+
+
+@pytest.mark.parametrize(("axis", "deg_h", "within_s"), [(2, 200.0, 110.0), (2, -100.0, 180.0), (0, -50.0, 80.0)])
+def test_a_shift_is_found_and_learnt_anew(axis, deg_h, within_s):
+    vehicle, mission = long_dive()
+    track = nf.replay(vehicle, shifted_by(mission, axis, deg_h), output_rate_hz=1.0)
+    errors = track.errors(mission.truth)
+    sd = np.sqrt(track.covariance[:, 8, 8])
+    late = track.time_s > SHIFT_S + within_s + 40.0
+    assert track.counts["shifted"] >= 1
+    assert np.nanmax(np.abs(errors.heading[late]) / sd[late]) < 3.5
+    assert not nf.replay(vehicle, mission, output_rate_hz=1.0).counts["shifted"]
+
+
+@pytest.mark.parametrize("mems", [False, True])
+def test_after_the_dive_fixes_tell_of_a_bottom_that_moved(mems):
+    vehicle, mission = long_dive(350.0, mems)
+    flow = np.array([0.25, -0.15])
+    moving = over_a_bottom(mission, lambda age: np.minimum(0.005 * age, 1.0)[:, None] * flow, 160.0)
+    track = nf.replay(vehicle, moving, output_rate_hz=1.0)
+    errors, late = track.errors(mission.truth), track.time_s > 470.0
+    horizontal, P = errors.position_n[late, :2], track.covariance[late]
+    nees = np.einsum("ki,kij,kj->k", horizontal, np.linalg.inv(P[:, :2, :2]), horizontal) / 2.0
+    assert track.counts["jumped"] >= 1 and np.mean(nees) < 2.0  # 100 and more where the velocity is believed
+    assert np.abs(errors.velocity_n[late, :2]).max() < 0.15  # of 0.25
+
+
+def test_a_compass_that_runs_away_is_told_from_the_gyros():
+    vehicle, mission = long_dive()
+    stream = mission.streams["compass"]
+    off = np.clip(0.1 * DEG * (stream.time_s - SHIFT_S), 0.0, 20.0 * DEG)
+    wrong = mission.with_stream("compass", nf.Stream(stream.time_s, stream.value + off[:, None], stream.columns))
+    track = nf.replay(vehicle, wrong, output_rate_hz=1.0)
+    errors, late = track.errors(mission.truth), track.time_s > SHIFT_S + 120.0
+    assert np.abs(errors.heading[late]).max() < 8.0 * DEG
+    assert np.all(np.abs(errors.heading) <= track.bounds[:, 1])
+    distance = np.hypot(*errors.position_n[:, :2].T)
+    assert np.mean(distance <= track.bounds[:, 0]) > 0.99
+
+
+@pytest.mark.parametrize("error", [nf.White(sd=0.6 * DEG), nf.GaussMarkov(sd=0.3 * DEG, tau_s=30.0)])
+def test_an_error_model_that_is_wrong_is_no_fault(error):
+    vehicle, mission = long_dive()
+    track = nf.replay(vehicle.with_error(compass=error), mission, output_rate_hz=1.0)
+    assert not track.counts["shifted"] and not track.counts["jumped"]
+
+
+def test_stretches_lives_and_snapshots_give_the_same(monkeypatch):
+    vehicle, mission = long_dive()
+    broken = shifted_by(mission, 0, -50.0).between(0.0, SHIFT_S + 70.0)
+    whole, _ = fly(vehicle, broken)
+    assert whole.counts["shifted"] == 1
+    track = nf.replay(vehicle, broken, output_rate_hz=None)
+    np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
+    assert track.bounds[-1] == pytest.approx(dataclasses.astuple(whole.state.bounds), rel=1e-9)
+    monkeypatch.setattr(runner.BatchRunner, "possible", property(lambda self: False))
+    again = nf.replay(vehicle, broken, output_rate_hz=None)
+    np.testing.assert_array_equal(again.covariance[-1], track.covariance[-1])
+    np.testing.assert_array_equal(again.bounds, track.bounds)
+    half, _ = fly(vehicle, broken, until_s=SHIFT_S + 10.0)
+    restored = nf.Navigator.restore(vehicle, half.snapshot())
+    feed(restored, vehicle, broken, after_s=SHIFT_S + 10.0)
+    assert not differences(whole.filter.memory, restored.filter.memory)
+
+
+def test_dead_reckoning_has_no_bank():
+    vehicle = reckoning_vehicle()
+    mission = simulate(vehicle, survey(60.0), seed=1, duration_s=60.0)
+    nav, _ = fly(vehicle, mission)
+    assert nav.filter.memory.monitor.look_s == math.inf and not nav.filter.memory.monitor.bank.size
+
+
+# --- the recursion ---------------------------------------------------------------------------------------------------
+
+SMALL = 1e-4
+
+
+def _with_fault(mission, kind, place, begin_s):
+    """The mission with a small fault of this kind from a time on."""
+    if kind in (kernels.FLOW_STEP, kernels.FLOW_RAMP):
+        ages = (lambda age: np.ones_like(age)) if kind == kernels.FLOW_STEP else (lambda age: age)
+        return over_a_bottom(mission, lambda age: SMALL * ages(age)[:, None] * np.eye(2)[place], begin_s)
+    if kind == kernels.STATE:
+        return altered(mission, "imu", lambda v: v + SMALL * np.eye(6)[place], begin_s)
+    stream = mission.streams["compass"]
+    age = stream.time_s - begin_s
+    off = SMALL * np.where(age >= 0.0, age if kind == kernels.RAMP else 1.0, 0.0)
+    return mission.with_stream("compass", nf.Stream(stream.time_s, stream.value + off[:, None], stream.columns))
+
+
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [(kernels.STEP, 0), (kernels.RAMP, 0), (kernels.FLOW_STEP, 0), (kernels.FLOW_RAMP, 1), (kernels.STATE, 2)],
+)
+def test_what_a_fault_does_is_what_the_filter_makes_of_it(kind, place):
+    vehicle, mission = long_dive()
+    mission, window = mission.between(0.0, 150.0), kernels.WINDOWS - 1
+    nav, _ = fly(vehicle, mission)
+    onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
+    faulty, _ = fly(vehicle, _with_fault(mission, kind, place, onsets[window] + 1e-6))
+    state = nav.filter.layout.drive
+    own = place if kind != kernels.STATE else state.start + int(state.biases[place][0])
+    column = next(k for k, row in enumerate(table) if row[kernels.KIND] == kind and row[kernels.PLACE] == own)
+    assert onsets[window] < 70.0  # the longest window begins when the start is confirmed
+    done = SMALL * D[:9, window * len(table) + column]
+    moved = faulty.state.minus(nav.state)[:9]  # errors are what is true less what is estimated
+    # Gains turn with the heading, by which faults differ to second order; a heading counts as what it does to velocity.
+    moved[6:], done[6:] = 1.7 * moved[6:], 1.7 * done[6:]
+    for part in (slice(0, 3), slice(3, 9)):
+        assert_close([-moved[part]], [done[part]], 0.05)
+
+
+def _random_bank(rng, n=14, channels=2):
+    kinds = [(0, 0, 0, 1), (1, 0, 0, 1), (2, 1, 0, 2), (2, 1, 1, 0), (3, 1, 0, 2), (3, 1, 1, 0), (4, -1, 11, 1)]
+    c = len(kinds)
+    bank = np.zeros(kernels.ONSETS)
+    bank[[kernels.SIGNATURES, kernels.STATES, kernels.CHANNELS, kernels.LOOKS]] = c, n, channels, rng.integers(0, 64)
+    bank = np.concatenate([bank, np.zeros(naive.places(bank)[-1] - kernels.ONSETS + 40 * kernels.WINDOWS * c)])
+    onsets, table, D, s, J, more, heard = naive._bank(bank)
+    onsets[:] = rng.uniform(0.0, 90.0, kernels.WINDOWS)
+    for row, (kind, channel, place, together) in zip(table, kinds, strict=True):
+        row[:] = kind, channel, place, rng.uniform(0.5, 2.0), -12.0, together
+    D[:], s[:], J[:], more[:] = rng.normal(size=D.shape), rng.normal(size=len(s)), spd(rng, len(s)), 0.1
+    heard[:] = rng.uniform(0.5, 2.0, heard.shape)
+    heard[0, kernels.SUMS + 1 : kernels.SUMS + kernels.AXES] = 0.0
+    return bank
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_kernels_and_their_twins(seed):
+    rng = np.random.default_rng(seed)
+    bank, n, a = _random_bank(rng), 14, 1 + 2 * (seed % 2)
+    size = kernels.places(bank)[-1]
+    assert kernels.places(bank) == naive.places(bank)
+
+    def same(kernel, *args, rtol=1e-10):
+        ours, twins = run_both(kernel, bank, *args)
+        assert_close(
+            [ours[0][:size], *(x for x in ours[1:] if isinstance(x, np.ndarray))],
+            [twins[0][:size], *(x for x in twins[1:] if isinstance(x, np.ndarray))],
+            rtol,
+        )
+
+    same(kernels.carry, rng.normal(size=(11, 11)), 0)
+    same(kernels.carry, rng.normal(size=(2, 2)), 12)
+    same(kernels.begin_window, seed, 100.0)
+    for k in (0, 1, 2, 4, 6):
+        same(kernels.judged, seed, k, 95.0, np.zeros(5), rtol=1e-9)
+    dims = np.array([a, n, 11, 2, 12, 2, 0, 0])
+    at = np.array(kalman.memory_offsets(dims))
+    mem = rng.normal(size=at[-1])
+    S = spd(rng, a)
+    mem[at[5] : at[5] + 2 * a * a] = np.vstack([S, np.linalg.inv(S)]).ravel()
+    mem[at[8] + 3 + a : at[8] + 3 + 2 * a] = np.diag(S)
+    if seed == 1:
+        mem[at[8] + 3 + a] = np.nan  # a component that is left out
+    for counts, used in ((True, True), (False, True), (True, False)):
+        same(kernels.take_reading, mem, dims, at, rng.normal(size=(a, 9)), seed % 2, 95.0, counts, used)
+    ours, twins = bank.copy(), bank.copy()
+    assert kernels.look(ours, 100.0) == pytest.approx(naive.look(twins, 100.0), rel=1e-9)
+    assert_close([ours[:size]], [twins[:size]], 1e-9)
+
+
+def test_an_estimated_error_is_fed_back_as_its_twin_does():
+    rng = np.random.default_rng(3)
+    ours, twins = run_both(kalman.feed_back, random_nav(rng), rng.normal(size=4), rng.normal(size=13) * 1e-2)
+    assert_close(ours, twins, 1e-12)
+
+
+def test_conditioning_is_that_of_a_filter_that_had_the_fault_as_a_state_from_its_onset():
+    """Friedland (1969): D, J and s hold all that the readings say of the size."""
+    rng = np.random.default_rng(4)
+    n, a, V = 11, 2, 0.3
+    bank = _random_bank(rng, n, 1)
+    for window in range(kernels.WINDOWS):
+        kernels.begin_window(bank, window, 0.0)
+    table = naive._bank(bank)[1]
+    table[:, kernels.CHANNEL], table[6, kernels.PLACE] = [0, 0, 5, 5, 5, 5, -1], 9
+    naive._bank(bank)[6][:] = 0.0
+    naive._bank(bank)[6][:, kernels.SQUARE] = 1.0
+    x, P, size = np.zeros(n), spd(rng, n), 0.7
+    wide, big = np.zeros(n + 1), np.block([[P, np.zeros((n, 1))], [np.zeros((1, n)), np.full((1, 1), V)]])
+    dims = np.array([a, n, n, 0, n, 0, 0, 0])
+    at = np.array(kalman.memory_offsets(dims))
+    for k in range(25):
+        Phi, Q = np.eye(n) + 0.1 * rng.normal(size=(n, n)), spd(rng, n, 1e-3)
+        H, R, F = rng.normal(size=(a, n)), spd(rng, a), np.array([1.0, 0.0])
+        kernels.carry(bank, Phi, 0)
+        x, P = Phi @ x, Phi @ P @ Phi.T + Q
+        grown = np.block([[Phi, np.zeros((n, 1))], [np.zeros((1, n)), np.eye(1)]])
+        wide, big = grown @ wide, grown @ big @ grown.T
+        big[:n, :n] += Q
+        z = H @ rng.normal(size=n) + F * size + rng.normal(size=a)
+        S = H @ P @ H.T + R
+        K, y = P @ H.T @ np.linalg.inv(S), z - H @ x
+        mem = np.zeros(at[-1])
+        mem[at[0] : at[1]], mem[at[1] : at[2]] = H.ravel(), K.ravel()
+        mem[at[5] : at[6]] = np.vstack([S, np.linalg.inv(S)]).ravel()
+        mem[at[8] : at[8] + 3 + 2 * a] = [1.0, a, 1.0, *y, *np.diag(S)]
+        kernels.take_reading(bank, mem, dims, at, np.zeros((a, 9)), 0, float(k + 1), True, True)
+        x, P = x + K @ y, P - K @ S @ K.T
+        whole = np.column_stack([H, F])
+        gain = big @ whole.T @ np.linalg.inv(whole @ big @ whole.T + R)
+        wide, big = wide + gain @ (z - whole @ wide), big - gain @ whole @ big
+    _, _, D, s, J, _, _ = naive._bank(bank)
+    M = 1.0 / (J[0, 0] + 1.0 / V)
+    m = M * s[0]
+    assert_close([x + D[:, 0] * m, P + M * np.outer(D[:, 0], D[:, 0])], [wide[:n], big[:n, :n]], 1e-9)
+    assert_close([np.array([m, M])], [np.array([wide[n], big[n, n]])], 1e-9)
