@@ -2274,7 +2274,8 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
         before = own[fault_bank.BEFORE :]
         share = np.repeat(1.0 / np.sqrt(np.where(before > 0.0, before, _larger(own))), len(table))
         own[fault_bank.READINGS] += 1.0
-        own[fault_bank.SUMS : fault_bank.SUMS + a][seen] += (y / sd)[seen]
+        few = np.arange(min(a, fault_bank.AXES))
+        own[fault_bank.SUMS + few] += np.where(seen, y / sd, 0.0)[few]
         s += share**2 * (G[seen].T @ inverse[np.ix_(seen, seen)] @ y[seen])
         J += np.outer(share, share) * (G.T @ inverse @ G)
     if used:

@@ -15,11 +15,13 @@ from navfilter.faults import fault_bank
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
+from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.state import matrix_from_euler
 from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
+from navfilter.timeseries.model import ArmaModel
 
 DEG = math.pi / 180.0
 DEG_H = DEG / 3600.0
@@ -117,6 +119,18 @@ def test_dead_reckoning_has_no_bank():
     mission = simulate(vehicle, survey(60.0), seed=1, duration_s=60.0)
     nav, _ = fly(vehicle, mission)
     assert nav.filter.memory.monitor.look_s == math.inf and not nav.filter.memory.monitor.bank.size
+
+
+def test_the_largest_transition_finds_room():
+    """Of a velocity with registers of ten on each axis more states tick than the drive has."""
+    vehicle, mission = long_dive()
+    long = LearnedArma(model=ArmaModel((-0.5,) + (0.0,) * 8 + (0.1,), (0.1,) * 10, 0.01))
+    nav = nf.Navigator(vehicle.with_error(dvl=long), mission.start)
+    layout, channels = nav.filter.layout, nav.filter.channels
+    _, more = fault_bank.room(layout, channels)
+    columns = kernels.WINDOWS * len(fault_bank.signatures(layout, channels.values()))
+    assert layout.groups["dvl"].ticking > layout.head and more >= layout.groups["dvl"].ticking * columns
+    assert nav.filter.bank.size == nav.filter.memory.monitor.bank.size + more
 
 
 # --- the recursion ---------------------------------------------------------------------------------------------------

@@ -60,7 +60,8 @@ def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
     c = len(signatures(layout, channels.values()))
     if c < 2:  # so many columns a wide register takes
         return 0, 0
-    most = max([layout.head, *(3 * channel.axes + 1 for channel in channels.values())])
+    # of a transition as many rows as there are states at most
+    most = max([layout.size, *(3 * channel.axes + 1 for channel in channels.values())])
     remembered = kernel.ONSETS + WINDOWS + c * TABLE + WINDOWS * c * (layout.size + 2 + WINDOWS * c)
     remembered += len(channels) * kernel.HEARD
     return remembered, most * WINDOWS * c

@@ -44,7 +44,8 @@ BELIEVED = 10.0
 WINDOWS = 6
 # Of each channel: mean square of the sums of its innovations from look to look, in their sd, and mean product of one
 # with the next; from how many looks these are told; readings since the last look, the sums of their axes, and those
-# before; and how much larger than white ones they were before the onset of each window (0: hardly anything was told).
+# before, of so many at most; and how much larger than white ones they were before the onset of each window (0: hardly
+# anything was told).
 SQUARE, PRODUCT, TOLD, READINGS, SUMS = range(5)
 AXES = 8
 BEFORE = SUMS + 2 * AXES
@@ -146,7 +147,7 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
         own[READINGS] += 1.0
         for i in range(a):
             weighted(mem[iS + (a + i) * a : iS + (a + i + 1) * a], G, Z[i])
-            if not math.isnan(mem[iv + 3 + a + i]):
+            if i < AXES and not math.isnan(mem[iv + 3 + a + i]):
                 own[SUMS + i] += mem[iv + 3 + i] / math.sqrt(mem[iv + 3 + a + i])
             for w in range(WINDOWS):
                 share = 1.0 / math.sqrt(own[BEFORE + w] if own[BEFORE + w] > 0.0 else now)
