@@ -158,9 +158,9 @@ FURTHER: dict[str, Case] = {
     ),
     "bottom that moves by 0.36 m/s for good": flowing("velocity", lambda age_s: 0.36),
     "bottom that gets to 0.36 m/s by 0.001 m/s^2": flowing("velocity", lambda age_s: min(0.001 * age_s, 0.36)),
-    "compass that runs away by 0.05 deg/s": values("heading", lambda v, age_s: turned(0.05 * DEG * age_s)(v)),
+    "compass that runs away by 0.05 deg/s": values("heading", lambda v, age_s: turned(0.05 * DEG * age_s)(v, age_s)),
     "compass that runs away by 0.5 deg/s to 20 deg": values(
-        "heading", lambda v, age_s: turned(min(0.5 * age_s, 20.0) * DEG)(v)
+        "heading", lambda v, age_s: turned(min(0.5 * age_s, 20.0) * DEG)(v, age_s)
     ),
     "gyro z saturates softly": values("gyro", lambda v, age_s: np.array([v[0], v[1], 0.03 * np.tanh(v[2] / 0.03)])),
     "accelerometer x drifts by 0.5 mg/s": values(
