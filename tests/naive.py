@@ -2260,6 +2260,9 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
     H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + n * a].reshape(n, a)
     inverse, y = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a), mem[at[8] + 3 : at[8] + 3 + a]
     seen = ~np.isnan(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
+    for k in np.flatnonzero(table[:, fault_bank.KIND] == fault_bank.DRIFT):
+        D[int(table[k, fault_bank.PLACE]), k :: len(table)] += time_s - bank[fault_bank.READ_S]
+    bank[fault_bank.READ_S] = time_s
     F = np.zeros((a, fault_bank.WINDOWS, len(table)))
     for k, (kind, of, place, *_) in enumerate(table):
         if of == channel and kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
@@ -2290,7 +2293,7 @@ def judged(bank, window, k, time_s, out):
     onsets, table, D, s, J, more, _ = _bank(bank)
     kind, _, _, variance, rate, together = table[k]
     age = max(time_s - onsets[window], 1.0)
-    V = variance / (age**2 if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP) else 1.0)
+    V = variance / (age**2 if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP, fault_bank.DRIFT) else 1.0)
     own = window * len(table) + k + np.arange(int(together))
     M = np.linalg.inv(J[np.ix_(own, own)] + np.eye(len(own)) / V)
     m = M @ s[own]

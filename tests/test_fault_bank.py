@@ -174,7 +174,16 @@ def test_what_a_fault_does_is_what_the_filter_makes_of_it(kind, place):
 
 
 def _random_bank(rng, n=14, channels=2):
-    kinds = [(0, 0, 0, 1), (1, 0, 0, 1), (2, 1, 0, 2), (2, 1, 1, 0), (3, 1, 0, 2), (3, 1, 1, 0), (4, -1, 11, 1)]
+    kinds = [
+        (0, 0, 0, 1),
+        (1, 0, 0, 1),
+        (2, 1, 0, 2),
+        (2, 1, 1, 0),
+        (3, 1, 0, 2),
+        (3, 1, 1, 0),
+        (4, -1, 11, 1),
+        (5, -1, 10, 1),
+    ]
     c = len(kinds)
     bank = np.zeros(kernels.ONSETS)
     bank[[kernels.SIGNATURES, kernels.STATES, kernels.CHANNELS, kernels.LOOKS]] = c, n, channels, rng.integers(0, 64)
@@ -207,7 +216,7 @@ def test_the_kernels_and_their_twins(seed):
     same(kernels.carry, rng.normal(size=(11, 11)), 0)
     same(kernels.carry, rng.normal(size=(2, 2)), 12)
     same(kernels.begin_window, seed, 100.0)
-    for k in (0, 1, 2, 4, 6):
+    for k in (0, 1, 2, 4, 6, 7):
         same(kernels.judged, seed, k, 95.0, np.zeros(5), rtol=1e-9)
     dims = np.array([a, n, 11, 2, 12, 2, 0, 0])
     at = np.array(kalman.memory_offsets(dims))
@@ -238,7 +247,7 @@ def test_conditioning_is_that_of_a_filter_that_had_the_fault_as_a_state_from_its
     for window in range(kernels.WINDOWS):
         kernels.begin_window(bank, window, 0.0)
     table = naive._bank(bank)[1]
-    table[:, kernels.CHANNEL], table[6, kernels.PLACE] = [0, 0, 5, 5, 5, 5, -1], 9
+    table[:, kernels.CHANNEL], table[6, kernels.PLACE] = [0, 0, 5, 5, 5, 5, -1, -1], 9
     naive._bank(bank)[6][:] = 0.0
     naive._bank(bank)[6][:, kernels.SQUARE] = 1.0
     x, P, size = np.zeros(n), spd(rng, n), 0.7

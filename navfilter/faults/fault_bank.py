@@ -23,7 +23,7 @@ from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.kernels import fault_bank as kernel
-from navfilter.kernels.fault_bank import FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
+from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import currents, offset_states, with_offsets
 from navfilter.models.sensors.observable import Observable
@@ -49,9 +49,12 @@ def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
             add(i, settings.HEADING_SD, (STEP, north))
             add(i, settings.HEADING_SD, (RAMP, north))
     drive = layout.drive
-    for states in drive.biases:
+    for axis, states in enumerate(drive.biases):
         for state in states[:1]:
-            add(-1, settings.BIAS_SDS * math.sqrt(drive.P0[state, state]), (STATE, drive.start + int(state)))
+            sd, place = settings.BIAS_SDS * math.sqrt(drive.P0[state, state]), drive.start + int(state)
+            add(-1, sd, (STATE, place))
+            if axis >= 3:  # what a gyro's does so slowly is a step to the compass
+                add(-1, sd, (DRIFT, place))
     return np.array(rows).reshape(-1, TABLE)
 
 
@@ -73,7 +76,7 @@ def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Arr
     bank = np.zeros(room(layout, channels)[0])
     if not bank.size:
         return bank
-    bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0
+    bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s
     parts(bank)[6][:, [kernel.SQUARE, kernel.TOLD]] = kernel.DOUBLED, kernel.DOUBTED
     parts(bank)[1][:] = table
     for w in range(WINDOWS):
@@ -192,7 +195,7 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
 
 
 def _grows(table: Array) -> NDArray[np.bool_]:
-    return np.isin(table[:, kernel.KIND], (RAMP, FLOW_RAMP))
+    return np.isin(table[:, kernel.KIND], (RAMP, FLOW_RAMP, DRIFT))
 
 
 def suspected(filter: FilterState) -> list[str]:

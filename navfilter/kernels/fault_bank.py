@@ -29,15 +29,15 @@ from navfilter.kernels.compiling.vectors import less_half, rank2_update, weighte
 UNCOUNTED: dict = {"_nrt": False}
 
 # Head: signatures, states, channels, looks so far, time of the last look; log odds of the likeliest fault then, and how
-# far faults that nobody has noticed may have moved the position and turned the heading.
-SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, ONSETS = range(9)
+# far faults that nobody has noticed may have moved the position and turned the heading; time of the last reading.
+SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ_S, ONSETS = range(10)
 # A signature: how it acts; the channel that it is of (-1: none); an axis of that, north or east, or a state; the
 # variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second, and how many
 # signatures are of one fault with it (0: it belongs to the one before).
 KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, TABLE = range(7)
 # How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
-# against; a step of a state of the drive.
-STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE = range(5)
+# against; a step or a drift of a state of the drive.
+STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT = range(6)
 # A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand.
 BELIEVED = 10.0
 # Windows: the onset of each is moved on half as often as that of the one before; the first at each look.
@@ -123,6 +123,11 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
         shaped(bank[room + a * columns :][: a * columns], a, columns),
     )
     iH, iK, iS, iv = at[0], at[1], at[5], at[8]
+    for k in range(c):
+        if table[k, KIND] == DRIFT:
+            for w in range(WINDOWS):
+                D[int(table[k, PLACE]), w * c + k] += time_s - bank[READ_S]
+    bank[READ_S] = time_s
     for i in range(a):
         row, seen = G[i], not math.isnan(mem[iv + 3 + a + i])
         if not seen:
@@ -194,7 +199,7 @@ def judged(bank, window, k, time_s, out):
     own = first + k * TABLE
     together, age_s = int(bank[own + TOGETHER]), max(time_s - bank[ONSETS + window], 1.0)
     # a ramp has come to as much as a step by now, whenever it began
-    V = bank[own + VARIANCE] / (age_s**2 if bank[own + KIND] == RAMP or bank[own + KIND] == FLOW_RAMP else 1.0)
+    V = bank[own + VARIANCE] / (age_s**2 if bank[own + KIND] in (RAMP, FLOW_RAMP, DRIFT) else 1.0)
     at = window * c + k
     s, J = score + at, information + at * (WINDOWS * c + 1)
     # M, the covariance of one size or two
