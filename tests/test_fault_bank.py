@@ -12,12 +12,15 @@ from test_agreement import altered, feed, fly
 
 import navfilter as nf
 from navfilter.faults import fault_bank
+from navfilter.filter.model_change import Change
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
+from navfilter.models.during import During
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.state import matrix_from_euler
 from navfilter.navigation import runner
+from navfilter.playback.instructions import instructed
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -133,6 +136,27 @@ def test_the_largest_transition_finds_room():
     assert nav.filter.bank.size == nav.filter.memory.monitor.bank.size + more
 
 
+def test_a_unit_with_another_number_of_biases_begins_anew():
+    vehicle, mission = long_dive()
+    nav, _ = fly(vehicle, mission.between(0.0, 80.0))
+    nav.filter.adopt(Change("gyro", nf.GaussMarkov(sd=1e-5, tau_s=100.0) + nf.White(sd=1e-4)), nav.on_event)
+    onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
+    assert np.all(onsets == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 2)
+    assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 and D.shape[0] == nav.filter.layout.size
+
+
+def test_what_a_fault_did_goes_on_under_another_name():
+    vehicle, mission = long_dive()
+    said = During("compass", 100.0, keys={"gate_probability": 0.99})
+    vehicle, mission = instructed(vehicle, dataclasses.replace(mission, during=(said,)))
+    filter = fly(vehicle, mission.between(0.0, 99.9))[0].filter
+    compass, done = filter.layout.groups["compass"].start, fault_bank.parts(filter.memory.monitor.bank)[2].copy()
+    filter._take_over(filter.channels["compass@2"], lambda event: None)
+    after = fault_bank.parts(filter.memory.monitor.bank)[2]
+    assert np.any(done[compass])
+    np.testing.assert_allclose(after[filter.layout.groups["compass@2"].start], done[compass])
+
+
 # --- the recursion ---------------------------------------------------------------------------------------------------
 
 SMALL = 1e-4
@@ -182,7 +206,7 @@ def _random_bank(rng, n=14, channels=2):
     onsets, table, D, s, J, more, heard = naive._bank(bank)
     onsets[:] = rng.uniform(0.0, 90.0, kernels.WINDOWS)
     for row, (kind, channel, place, together) in zip(table, kinds, strict=True):
-        row[:] = kind, channel, place, rng.uniform(0.5, 2.0), -12.0, together
+        row[:] = kind, channel, place, rng.uniform(0.5, 2.0), -12.0, together, 2.0
     D[:], s[:], J[:], more[:] = rng.normal(size=D.shape), rng.normal(size=len(s)), spd(rng, len(s)), 0.1
     heard[:] = rng.uniform(0.5, 2.0, heard.shape)
     heard[0, kernels.SUMS + 1 : kernels.SUMS + kernels.AXES] = 0.0
@@ -192,7 +216,7 @@ def _random_bank(rng, n=14, channels=2):
 @pytest.mark.parametrize("seed", range(6))
 def test_the_kernels_and_their_twins(seed):
     rng = np.random.default_rng(seed)
-    bank, n, a = _random_bank(rng), 14, 1 + 2 * (seed % 2)
+    bank, n, a = _random_bank(rng), 14, (1, 3, 1, 3, 1, kernels.AXES + 1)[seed]
     size = kernels.places(bank)[-1]
     assert kernels.places(bank) == naive.places(bank)
 

@@ -35,16 +35,16 @@ def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
     """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them; shape (c, TABLE)."""
     rows: list[tuple[float, ...]] = []
 
-    def add(channel: int, sd: float, *kinds: tuple[int, int]) -> None:
+    def add(channel: int, sd: float, *kinds: tuple[int, int], read: int = 0) -> None:
         for k, (kind, place) in enumerate(kinds):
             rate = math.log(settings.FAULTS_PER_S)
-            rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0))
+            rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0, read))
 
     for i, channel in enumerate(channels):
         north = channel.sensor.observes.north
         if channel.ground:
             for kind in (FLOW_STEP, FLOW_RAMP):
-                add(i, settings.FLOW_SD, (kind, 0), (kind, 1))
+                add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
         if north is not None:
             add(i, settings.HEADING_SD, (STEP, north))
             add(i, settings.HEADING_SD, (RAMP, north))
