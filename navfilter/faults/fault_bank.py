@@ -93,17 +93,35 @@ def parts(bank: Array) -> tuple[Array, ...]:
     return tuple(bank[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
 
 
-def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Channel]) -> Array:
-    """The bank of a filter whose error states have become M times what they were; shape (n_after, n_before)."""
+def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+    """The bank of a filter whose error states have become M times what they were; shape (n_after, n_before).
+
+    Where other faults may happen now, because the unit has another number of biases, all windows begin anew.
+    """
+    after = begun(layout, channels, time_s)
+    if not (bank.size and after.size) or after[kernel.SIGNATURES] != bank[kernel.SIGNATURES]:
+        return after
     onsets, _, D, s, J, more, heard = parts(bank)
-    after = np.zeros(room(layout, channels)[0])
-    after[: kernel.ONSETS] = bank[: kernel.ONSETS]
-    after[kernel.STATES] = layout.size
     now = parts(after)
-    now[0][:], now[1][:], now[3][:] = onsets, signatures(layout, channels.values()), s
-    now[4][:], now[5][:], now[6][:] = J, more, heard
+    after[kernel.LOOKS : kernel.ONSETS] = bank[kernel.LOOKS : kernel.ONSETS]
+    now[0][:], now[3][:], now[4][:], now[5][:], now[6][:] = onsets, s, J, more, heard
     now[2][:] = M @ D
     return after
+
+
+def problem(bank: Array, fresh: Array) -> str | None:
+    """What is wrong with a bank that came from outside, in words; None when nothing is. fresh: one of the same layout,
+    of the same size.
+    """
+    if not bank.size:
+        return None
+    head = [kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS]
+    if not np.array_equal(bank[head], fresh[head]) or not np.array_equal(parts(bank)[1], parts(fresh)[1]):
+        return "the bank of faults is not laid out as this vehicle's"  # kernels use what stands there as places
+    may_be_infinite = [kernel.LOOKED_S, kernel.ODDS]  # before the first look
+    if not np.isfinite(np.delete(bank, may_be_infinite)).all() or not (bank[may_be_infinite] < math.inf).all():
+        return "what innovations have told of slow faults is not finite"
+    return None
 
 
 def look(filter: FilterState) -> Actions:

@@ -345,6 +345,7 @@ class Filter:
         M, N = handover(self.layout, self.in_force, before.name, channel.name)
         self.memory.x[:] = M[9:, 9:] @ self.memory.x
         self._transform(M, N)
+        self.monitor.transform(self, self.memory.monitor, M, self.bank)
         channel.memory.ticked_s, channel.memory.used_s = before.memory.ticked_s, before.memory.used_s
         self._row()
         tell(StateTransformed(M))
