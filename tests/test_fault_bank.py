@@ -17,6 +17,7 @@ from navfilter.foundation.state_values import differences
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
 from navfilter.models.during import During
+from navfilter.models.fault_bias import with_offsets
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.state import matrix_from_euler
 from navfilter.navigation import runner
@@ -143,6 +144,29 @@ def test_a_unit_with_another_number_of_biases_begins_anew():
     onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
     assert np.all(onsets == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 2)
     assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 and D.shape[0] == nav.filter.layout.size
+
+
+def test_what_an_offset_has_taken_already_is_not_taken_twice():
+    """A compass that has a state for what it is off by: of a step the filter has put a part there itself."""
+    vehicle, mission = long_dive()
+    nav, _ = fly(vehicle, mission.between(0.0, 150.0))
+    filter, compass = nav.filter, nav.filter.channels["compass"]
+    open_ = with_offsets(compass.sensor.models, 5.0 * DEG, density=0.5 * DEG, only=0)
+    filter.adopt(Change("compass", open_, offsets=True), nav.on_event)
+    feed(nav, vehicle, altered(mission, "compass", lambda v: v + 10.0 * DEG, 150.0).between(0.0, 175.0), after_s=150.0)
+    state, size, told = compass.group.start + int(compass.offsets[0]), 3.0 * DEG, []
+    bank = filter.memory.monitor.bank
+    onsets, table, D, s, J, more, _ = fault_bank.parts(bank)
+    window = int(np.argmin(np.where(onsets > 149.0, onsets, math.inf)))
+    step = np.flatnonzero((table[:, kernels.KIND] == kernels.STEP) & (table[:, kernels.CHANNEL] == 0))[0]
+    column = window * len(table) + step
+    s[:], J[:], more[:], bank[kernels.ODDS] = 0.0, 0.0, 0.0, 20.0
+    s[column], J[column, column] = 1e8 * size, 1e8
+    taken, before = D[state, column], filter.x[state - 9]
+    filter.act(fault_bank.judge(filter), told.append)
+    assert taken < -0.2
+    assert filter.x[state - 9] - before == pytest.approx((1.0 + taken) * size, rel=1e-4)
+    assert told[-1].anew  # an open loop knows nothing of this step
 
 
 def test_what_a_fault_did_goes_on_under_another_name():

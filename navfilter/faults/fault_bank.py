@@ -172,7 +172,7 @@ def judge(filter: FilterState) -> Iterator[Action]:
     D, s, J = parts(bank)[2:5]
     done = D[:, at]
     for k, (channel, kind, place) in own.items():
-        done[_state(channel, kind, place), k] = now[k]
+        done[_state(channel, kind, place), k] += now[k]
     yield Correct(done @ m, done @ M @ done.T)
     if -1 in table[chosen, kernel.CHANNEL]:
         yield Count("shifted")
