@@ -146,6 +146,21 @@ def test_a_unit_with_another_number_of_biases_begins_anew():
     assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 and D.shape[0] == nav.filter.layout.size
 
 
+def test_what_is_believed_is_not_given_up_by_what_was_decided_before():
+    vehicle, mission = long_dive()
+    nav, _ = fly(vehicle, mission.between(0.0, 150.0))
+    filter, compass, size = nav.filter, nav.filter.channels["compass"], 3.0 * DEG
+    bank = filter.memory.monitor.bank
+    _, table, D, s, J, more, _ = fault_bank.parts(bank)
+    step = np.flatnonzero((table[:, kernels.KIND] == kernels.STEP) & (table[:, kernels.CHANNEL] == 0))[0]
+    s[:], J[:], more[:], D[:], bank[kernels.ODDS] = 0.0, 0.0, 0.0, 0.0, 20.0
+    s[step], J[step, step] = 1e8 * size, 1e8
+    filter.monitor.changes.append(Change("compass", with_offsets(compass.sensor.models), offsets=True))
+    filter.monitor.has_pending = True
+    filter.handle_pending(nav.on_event)
+    assert compass.offset and filter.x[compass.group.start + int(compass.offsets[0]) - 9] == pytest.approx(size)
+
+
 def test_what_an_offset_has_taken_already_is_not_taken_twice():
     """A compass that has a state for what it is off by: of a step the filter has put a part there itself."""
     vehicle, mission = long_dive()

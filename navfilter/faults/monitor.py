@@ -150,15 +150,10 @@ class FaultMonitor:
 
     def pending(self, filter: FilterState) -> Actions:
         """What refused readings have made necessary, before the next input; whether slow faults were looked for."""
-        looked = yield from self.look(filter)
         if self.has_pending:
             self.has_pending = False
             yield from policy.pending(filter)
-        return looked
-
-    def look(self, filter: FilterState) -> Actions:
-        """Look for slow faults, if it is time, after a reading has been taken; whether it was."""
-        return (yield from fault_bank.look(filter))
+        return (yield from fault_bank.look(filter))  # behind what was decided without knowing of it
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:

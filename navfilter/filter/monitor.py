@@ -147,9 +147,6 @@ class Monitor(Protocol):
     def pending(self, filter: FilterState) -> Actions:
         """What refused readings have made necessary, before the next input; whether slow faults were looked for."""
 
-    def look(self, filter: FilterState) -> Actions:
-        """Look for slow faults, if it is time; whether it was."""
-
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
         """By how much samples are to differ from one to the next, shape (6,)."""
