@@ -132,7 +132,7 @@ def test_the_largest_transition_finds_room():
     nav = nf.Navigator(vehicle.with_error(dvl=long), mission.start)
     layout, channels = nav.filter.layout, nav.filter.channels
     _, more = fault_bank.room(layout, channels)
-    columns = kernels.WINDOWS * len(fault_bank.signatures(layout, channels.values()))
+    columns = kernels.WINDOWS * len(fault_bank.signatures(layout, list(channels.values())))
     assert layout.groups["dvl"].ticking > layout.head and more >= layout.groups["dvl"].ticking * columns
     assert nav.filter.bank.size == nav.filter.memory.monitor.bank.size + more
 
@@ -144,6 +144,20 @@ def test_a_unit_with_another_number_of_biases_begins_anew():
     onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
     assert np.all(onsets == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 2)
     assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 and D.shape[0] == nav.filter.layout.size
+
+
+def test_an_instrument_goes_wrong_under_all_of_its_names():
+    vehicle, mission = long_dive()
+    stream = mission.streams["compass"]
+    off = np.maximum(0.1 * DEG * (stream.time_s - SHIFT_S), 0.0)
+    wrong = mission.with_stream("compass", nf.Stream(stream.time_s, stream.value + off[:, None], stream.columns))
+    said = During("compass", SHIFT_S + 20.0, keys={"gate_probability": 0.9995})
+    named, seen = instructed(vehicle, dataclasses.replace(wrong.between(0.0, 280.0), during=(said,)))
+    nav, _ = fly(named, seen)
+    assert nav.counts["shifted"] >= 1 and nav.filter.channels["compass@2"].offset
+    plain = nf.Navigator(vehicle, mission.start).filter
+    names = [list(filter.channels.values()) for filter in (plain, nav.filter)]
+    assert len(fault_bank.signatures(plain.layout, names[0])) == len(fault_bank.signatures(plain.layout, names[1]))
 
 
 def test_what_is_believed_is_not_given_up_by_what_was_decided_before():

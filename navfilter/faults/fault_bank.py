@@ -11,7 +11,7 @@ the onset (Friedland, 1969), and the sensor gets states for what it is off by.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from navfilter.models.sensors.observable import Observable
 Array = NDArray[np.float64]
 
 
-def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
+def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
     """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them; shape (c, TABLE)."""
     rows: list[tuple[float, ...]] = []
 
@@ -41,6 +41,8 @@ def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
             rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0, read))
 
     for i, channel in enumerate(channels):
+        if channel.first_of(channels) < i:  # an instrument errs under all of its names
+            continue
         north = channel.sensor.observes.north
         if channel.ground:
             for kind in (FLOW_STEP, FLOW_RAMP):
@@ -57,7 +59,7 @@ def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
 
 def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
     """Numbers that a bank remembers, and how many more it works with; none where hardly anything may go wrong."""
-    c = len(signatures(layout, channels.values()))
+    c = len(signatures(layout, list(channels.values())))
     if c < 2:  # so many columns a wide register takes
         return 0, 0
     # of a transition as many rows as there are states at most
@@ -69,7 +71,7 @@ def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
 
 def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
     """A bank whose windows all begin now."""
-    table = signatures(layout, channels.values())
+    table = signatures(layout, list(channels.values()))
     bank = np.zeros(room(layout, channels)[0])
     if not bank.size:
         return bank
@@ -160,7 +162,8 @@ def judge(filter: FilterState) -> Iterator[Action]:
     for i in np.unique(table[chosen, kernel.CHANNEL].astype(int)):
         if i < 0:
             continue
-        channel, mine = list(filter.channels.values())[i], np.flatnonzero(table[chosen, kernel.CHANNEL] == i)
+        first, mine = list(filter.channels.values())[i], np.flatnonzero(table[chosen, kernel.CHANNEL] == i)
+        channel = first.predecessor or first
         for k in mine:
             own[k] = channel, int(table[chosen[k], kernel.KIND]), int(table[chosen[k], kernel.PLACE])
         if not all(_state(*own[k]) for k in mine):

@@ -650,7 +650,8 @@ def shared(
         if row[batch.SIGHT]:
             row[batch.MOTION] = address(drive.moved, addresses.MOTION)
     plan = np.array([*rows, last])
-    plan[:, batch.INDEX], plan[:, batch.BANK] = np.arange(len(plan)), at if remembered else 0
+    plan[:, batch.BANK] = at if remembered else 0
+    plan[:-1, batch.INDEX] = [channel.first_of(channels) for channel in channels]
     for channel, row in zip(channels, plan, strict=False):
         channel.spot = row
     return bench, plan, bench[at:]
