@@ -2264,9 +2264,9 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
         D[int(table[k, fault_bank.PLACE]), k :: len(table)] += time_s - bank[fault_bank.READ_S]
     bank[fault_bank.READ_S] = time_s
     F = np.zeros((a, fault_bank.WINDOWS, len(table)))
-    for k, (kind, of, place, *_) in enumerate(table):
+    for k, (kind, of, place, _, _, _, read) in enumerate(table):
         if of == channel and kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
-            F[:, :, k] = -near[:, 3 + int(place), None]
+            F[: int(read), :, k] = -near[: int(read), 3 + int(place), None]
         elif of == channel:
             F[int(place), :, k] = 1.0
         if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP):
@@ -2291,7 +2291,7 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
 
 def judged(bank, window, k, time_s, out):
     onsets, table, D, s, J, more, _ = _bank(bank)
-    kind, _, _, variance, rate, together = table[k]
+    kind, _, _, variance, rate, together, _ = table[k]
     age = max(time_s - onsets[window], 1.0)
     V = variance / (age**2 if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP, fault_bank.DRIFT) else 1.0)
     own = window * len(table) + k + np.arange(int(together))

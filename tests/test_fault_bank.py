@@ -12,12 +12,16 @@ from test_agreement import altered, feed, fly
 
 import navfilter as nf
 from navfilter.faults import fault_bank
+from navfilter.filter.model_change import Change
 from navfilter.foundation.state_values import differences
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
+from navfilter.models.during import During
+from navfilter.models.fault_bias import with_offsets
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.state import matrix_from_euler
 from navfilter.navigation import runner
+from navfilter.playback.instructions import instructed
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -128,9 +132,82 @@ def test_the_largest_transition_finds_room():
     nav = nf.Navigator(vehicle.with_error(dvl=long), mission.start)
     layout, channels = nav.filter.layout, nav.filter.channels
     _, more = fault_bank.room(layout, channels)
-    columns = kernels.WINDOWS * len(fault_bank.signatures(layout, channels.values()))
+    columns = kernels.WINDOWS * len(fault_bank.signatures(layout, list(channels.values())))
     assert layout.groups["dvl"].ticking > layout.head and more >= layout.groups["dvl"].ticking * columns
     assert nav.filter.bank.size == nav.filter.memory.monitor.bank.size + more
+
+
+def test_a_unit_with_another_number_of_biases_begins_anew():
+    vehicle, mission = long_dive()
+    nav, _ = fly(vehicle, mission.between(0.0, 80.0))
+    nav.filter.adopt(Change("gyro", nf.GaussMarkov(sd=1e-5, tau_s=100.0) + nf.White(sd=1e-4)), nav.on_event)
+    onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
+    assert np.all(onsets == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 2)
+    assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 and D.shape[0] == nav.filter.layout.size
+
+
+def test_an_instrument_goes_wrong_under_all_of_its_names():
+    vehicle, mission = long_dive()
+    stream = mission.streams["compass"]
+    off = np.maximum(0.1 * DEG * (stream.time_s - SHIFT_S), 0.0)
+    wrong = mission.with_stream("compass", nf.Stream(stream.time_s, stream.value + off[:, None], stream.columns))
+    said = During("compass", SHIFT_S + 20.0, keys={"gate_probability": 0.9995})
+    named, seen = instructed(vehicle, dataclasses.replace(wrong.between(0.0, 280.0), during=(said,)))
+    nav, _ = fly(named, seen)
+    assert nav.counts["shifted"] >= 1 and nav.filter.channels["compass@2"].offset
+    plain = nf.Navigator(vehicle, mission.start).filter
+    names = [list(filter.channels.values()) for filter in (plain, nav.filter)]
+    assert len(fault_bank.signatures(plain.layout, names[0])) == len(fault_bank.signatures(plain.layout, names[1]))
+
+
+def test_what_is_believed_is_not_given_up_by_what_was_decided_before():
+    vehicle, mission = long_dive()
+    nav, _ = fly(vehicle, mission.between(0.0, 150.0))
+    filter, compass, size = nav.filter, nav.filter.channels["compass"], 3.0 * DEG
+    bank = filter.memory.monitor.bank
+    _, table, D, s, J, more, _ = fault_bank.parts(bank)
+    step = np.flatnonzero((table[:, kernels.KIND] == kernels.STEP) & (table[:, kernels.CHANNEL] == 0))[0]
+    s[:], J[:], more[:], D[:], bank[kernels.ODDS] = 0.0, 0.0, 0.0, 0.0, 20.0
+    s[step], J[step, step] = 1e8 * size, 1e8
+    filter.monitor.changes.append(Change("compass", with_offsets(compass.sensor.models), offsets=True))
+    filter.monitor.has_pending = True
+    filter.handle_pending(nav.on_event)
+    assert compass.offset and filter.x[compass.group.start + int(compass.offsets[0]) - 9] == pytest.approx(size)
+
+
+def test_what_an_offset_has_taken_already_is_not_taken_twice():
+    """A compass that has a state for what it is off by: of a step the filter has put a part there itself."""
+    vehicle, mission = long_dive()
+    nav, _ = fly(vehicle, mission.between(0.0, 150.0))
+    filter, compass = nav.filter, nav.filter.channels["compass"]
+    open_ = with_offsets(compass.sensor.models, 5.0 * DEG, density=0.5 * DEG, only=0)
+    filter.adopt(Change("compass", open_, offsets=True), nav.on_event)
+    feed(nav, vehicle, altered(mission, "compass", lambda v: v + 10.0 * DEG, 150.0).between(0.0, 175.0), after_s=150.0)
+    state, size, told = compass.group.start + int(compass.offsets[0]), 3.0 * DEG, []
+    bank = filter.memory.monitor.bank
+    onsets, table, D, s, J, more, _ = fault_bank.parts(bank)
+    window = int(np.argmin(np.where(onsets > 149.0, onsets, math.inf)))
+    step = np.flatnonzero((table[:, kernels.KIND] == kernels.STEP) & (table[:, kernels.CHANNEL] == 0))[0]
+    column = window * len(table) + step
+    s[:], J[:], more[:], bank[kernels.ODDS] = 0.0, 0.0, 0.0, 20.0
+    s[column], J[column, column] = 1e8 * size, 1e8
+    taken, before = D[state, column], filter.x[state - 9]
+    filter.act(fault_bank.judge(filter), told.append)
+    assert taken < -0.2
+    assert filter.x[state - 9] - before == pytest.approx((1.0 + taken) * size, rel=1e-4)
+    assert told[-1].anew  # an open loop knows nothing of this step
+
+
+def test_what_a_fault_did_goes_on_under_another_name():
+    vehicle, mission = long_dive()
+    said = During("compass", 100.0, keys={"gate_probability": 0.99})
+    vehicle, mission = instructed(vehicle, dataclasses.replace(mission, during=(said,)))
+    filter = fly(vehicle, mission.between(0.0, 99.9))[0].filter
+    compass, done = filter.layout.groups["compass"].start, fault_bank.parts(filter.memory.monitor.bank)[2].copy()
+    filter._take_over(filter.channels["compass@2"], lambda event: None)
+    after = fault_bank.parts(filter.memory.monitor.bank)[2]
+    assert np.any(done[compass])
+    np.testing.assert_allclose(after[filter.layout.groups["compass@2"].start], done[compass])
 
 
 # --- the recursion ---------------------------------------------------------------------------------------------------
@@ -191,7 +268,7 @@ def _random_bank(rng, n=14, channels=2):
     onsets, table, D, s, J, more, heard = naive._bank(bank)
     onsets[:] = rng.uniform(0.0, 90.0, kernels.WINDOWS)
     for row, (kind, channel, place, together) in zip(table, kinds, strict=True):
-        row[:] = kind, channel, place, rng.uniform(0.5, 2.0), -12.0, together
+        row[:] = kind, channel, place, rng.uniform(0.5, 2.0), -12.0, together, 2.0
     D[:], s[:], J[:], more[:] = rng.normal(size=D.shape), rng.normal(size=len(s)), spd(rng, len(s)), 0.1
     heard[:] = rng.uniform(0.5, 2.0, heard.shape)
     heard[0, kernels.SUMS + 1 : kernels.SUMS + kernels.AXES] = 0.0
@@ -201,7 +278,7 @@ def _random_bank(rng, n=14, channels=2):
 @pytest.mark.parametrize("seed", range(6))
 def test_the_kernels_and_their_twins(seed):
     rng = np.random.default_rng(seed)
-    bank, n, a = _random_bank(rng), 14, 1 + 2 * (seed % 2)
+    bank, n, a = _random_bank(rng), 14, (1, 3, 1, 3, 1, kernels.AXES + 1)[seed]
     size = kernels.places(bank)[-1]
     assert kernels.places(bank) == naive.places(bank)
 

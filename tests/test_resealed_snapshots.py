@@ -16,7 +16,7 @@ from feeding import events_of, one_by_one
 
 import navfilter as nf
 from navfilter.faults.alternative_path import AlternativePath
-from navfilter.kernels import strapdown
+from navfilter.kernels import fault_bank, strapdown
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -99,7 +99,20 @@ def way_of(kind="AlternativePath", fields=None, **changed):
     return {"": kind, "fields": own | changed}
 
 
+def bank(place, value):
+    """Another value for an element of the bank of faults."""
+
+    def change(saved, arrays):
+        arrays["floats"][filter_of(saved)["monitor"]["fields"]["bank"]["at"] + place] = value
+
+    return change
+
+
 CHANGES = {
+    "a bank of more faults than there is room for": bank(fault_bank.SIGNATURES, 1e6),
+    "a fault of a state that does not exist": bank(fault_bank.ONSETS + fault_bank.WINDOWS + fault_bank.PLACE, 1e6),
+    "faults that were looked for at no time": bank(fault_bank.LOOKED_S, np.nan),
+    "faults since no time": bank(fault_bank.ONSETS, np.inf),
     "P of another shape": shape("P", [3, 3]),
     "P beyond the end": lambda saved, arrays: filter_of(saved)["P"].update(at=10**9),
     "P before the beginning": lambda saved, arrays: filter_of(saved)["P"].update(at=-(10**9)),

@@ -11,7 +11,7 @@ the onset (Friedland, 1969), and the sensor gets states for what it is off by.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,20 +31,22 @@ from navfilter.models.sensors.observable import Observable
 Array = NDArray[np.float64]
 
 
-def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
+def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
     """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them; shape (c, TABLE)."""
     rows: list[tuple[float, ...]] = []
 
-    def add(channel: int, sd: float, *kinds: tuple[int, int]) -> None:
+    def add(channel: int, sd: float, *kinds: tuple[int, int], read: int = 0) -> None:
         for k, (kind, place) in enumerate(kinds):
             rate = math.log(settings.FAULTS_PER_S)
-            rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0))
+            rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0, read))
 
     for i, channel in enumerate(channels):
+        if channel.first_of(channels) < i:  # an instrument errs under all of its names
+            continue
         north = channel.sensor.observes.north
         if channel.ground:
             for kind in (FLOW_STEP, FLOW_RAMP):
-                add(i, settings.FLOW_SD, (kind, 0), (kind, 1))
+                add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
         if north is not None:
             add(i, settings.HEADING_SD, (STEP, north))
             add(i, settings.HEADING_SD, (RAMP, north))
@@ -60,7 +62,7 @@ def signatures(layout: Layout, channels: Iterable[Channel]) -> Array:
 
 def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
     """Numbers that a bank remembers, and how many more it works with; none where hardly anything may go wrong."""
-    c = len(signatures(layout, channels.values()))
+    c = len(signatures(layout, list(channels.values())))
     if c < 2:  # so many columns a wide register takes
         return 0, 0
     # of a transition as many rows as there are states at most
@@ -72,7 +74,7 @@ def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
 
 def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
     """A bank whose windows all begin now."""
-    table = signatures(layout, channels.values())
+    table = signatures(layout, list(channels.values()))
     bank = np.zeros(room(layout, channels)[0])
     if not bank.size:
         return bank
@@ -96,17 +98,35 @@ def parts(bank: Array) -> tuple[Array, ...]:
     return tuple(bank[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
 
 
-def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Channel]) -> Array:
-    """The bank of a filter whose error states have become M times what they were; shape (n_after, n_before)."""
+def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+    """The bank of a filter whose error states have become M times what they were; shape (n_after, n_before).
+
+    Where other faults may happen now, because the unit has another number of biases, all windows begin anew.
+    """
+    after = begun(layout, channels, time_s)
+    if not (bank.size and after.size) or after[kernel.SIGNATURES] != bank[kernel.SIGNATURES]:
+        return after
     onsets, _, D, s, J, more, heard = parts(bank)
-    after = np.zeros(room(layout, channels)[0])
-    after[: kernel.ONSETS] = bank[: kernel.ONSETS]
-    after[kernel.STATES] = layout.size
     now = parts(after)
-    now[0][:], now[1][:], now[3][:] = onsets, signatures(layout, channels.values()), s
-    now[4][:], now[5][:], now[6][:] = J, more, heard
+    after[kernel.LOOKS : kernel.ONSETS] = bank[kernel.LOOKS : kernel.ONSETS]
+    now[0][:], now[3][:], now[4][:], now[5][:], now[6][:] = onsets, s, J, more, heard
     now[2][:] = M @ D
     return after
+
+
+def problem(bank: Array, fresh: Array) -> str | None:
+    """What is wrong with a bank that came from outside, in words; None when nothing is. fresh: one of the same layout,
+    of the same size.
+    """
+    if not bank.size:
+        return None
+    head = [kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS]
+    if not np.array_equal(bank[head], fresh[head]) or not np.array_equal(parts(bank)[1], parts(fresh)[1]):
+        return "the bank of faults is not laid out as this vehicle's"  # kernels use what stands there as places
+    may_be_infinite = [kernel.LOOKED_S, kernel.ODDS]  # before the first look
+    if not np.isfinite(np.delete(bank, may_be_infinite)).all() or not (bank[may_be_infinite] < math.inf).all():
+        return "what innovations have told of slow faults is not finite"
+    return None
 
 
 def look(filter: FilterState) -> Actions:
@@ -145,7 +165,8 @@ def judge(filter: FilterState) -> Iterator[Action]:
     for i in np.unique(table[chosen, kernel.CHANNEL].astype(int)):
         if i < 0:
             continue
-        channel, mine = list(filter.channels.values())[i], np.flatnonzero(table[chosen, kernel.CHANNEL] == i)
+        first, mine = list(filter.channels.values())[i], np.flatnonzero(table[chosen, kernel.CHANNEL] == i)
+        channel = first.predecessor or first
         for k in mine:
             own[k] = channel, int(table[chosen[k], kernel.KIND]), int(table[chosen[k], kernel.PLACE])
         if not all(_state(*own[k]) for k in mine):
@@ -157,7 +178,7 @@ def judge(filter: FilterState) -> Iterator[Action]:
     D, s, J = parts(bank)[2:5]
     done = D[:, at]
     for k, (channel, kind, place) in own.items():
-        done[_state(channel, kind, place), k] = now[k]
+        done[_state(channel, kind, place), k] += now[k]
     yield Correct(done @ m, done @ M @ done.T)
     if -1 in table[chosen, kernel.CHANNEL]:
         yield Count("shifted")

@@ -85,8 +85,9 @@ class FaultMonitor:
 
     def transform(self, filter: FilterState, memory: MonitorMemory, M: Array, room: Array) -> None:
         """The error states are M times what they were."""
-        if room.size:
-            memory.bank = fault_bank.transformed(memory.bank, M, filter.layout, filter.channels)
+        if room.size or memory.bank.size:
+            time_s = filter.memory.time_s
+            memory.bank = fault_bank.transformed(memory.bank, M, filter.layout, filter.channels, time_s)
             self._settle(memory, room)
 
     def begin_again(self, filter: FilterState, memory: MonitorMemory) -> None:
@@ -94,13 +95,13 @@ class FaultMonitor:
         if memory.bank.size:
             memory.bank[:] = fault_bank.begun(filter.layout, filter.channels, filter.memory.time_s)
 
-    def problem(self, memory: MonitorMemory, channels: Mapping[str, Channel]) -> str | None:
+    def problem(self, memory: MonitorMemory, fresh: MonitorMemory, channels: Mapping[str, Channel]) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is."""
         for name, channel in channels.items():
             scatter = memory.channels[name].scatter
             if scatter is not None and not scatter.is_of(channel.axes):
                 return f"what is kept of the noise of {name} is not laid out as this vehicle's"
-        return memory.problem()
+        return memory.problem() or fault_bank.problem(memory.bank, fresh.bank)
 
     def transferred(
         self, filter: FilterState, memory: FilterMemory, layout: Layout, given: FilterMemory
@@ -149,15 +150,10 @@ class FaultMonitor:
 
     def pending(self, filter: FilterState) -> Actions:
         """What refused readings have made necessary, before the next input; whether slow faults were looked for."""
-        looked = yield from self.look(filter)
         if self.has_pending:
             self.has_pending = False
             yield from policy.pending(filter)
-        return looked
-
-    def look(self, filter: FilterState) -> Actions:
-        """Look for slow faults, if it is time, after a reading has been taken; whether it was."""
-        return (yield from fault_bank.look(filter))
+        return (yield from fault_bank.look(filter))  # behind what was decided without knowing of it
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:

@@ -345,6 +345,7 @@ class Filter:
         M, N = handover(self.layout, self.in_force, before.name, channel.name)
         self.memory.x[:] = M[9:, 9:] @ self.memory.x
         self._transform(M, N)
+        self.monitor.transform(self, self.memory.monitor, M, self.bank)
         channel.memory.ticked_s, channel.memory.used_s = before.memory.ticked_s, before.memory.used_s
         self._row()
         tell(StateTransformed(M))
@@ -421,6 +422,7 @@ class Filter:
                 memory.P += covariance
                 memory.P[:] = 0.5 * (memory.P + memory.P.T)
                 self._row()
+                tell(StateTransformed(np.eye(len(memory.P)), anew=True))
             case actions.MoveError(place, by):
                 memory.x[place] += by
             case actions.Readmit(channel, residual):
@@ -648,7 +650,8 @@ def shared(
         if row[batch.SIGHT]:
             row[batch.MOTION] = address(drive.moved, addresses.MOTION)
     plan = np.array([*rows, last])
-    plan[:, batch.INDEX], plan[:, batch.BANK] = np.arange(len(plan)), at if remembered else 0
+    plan[:, batch.BANK] = at if remembered else 0
+    plan[:-1, batch.INDEX] = [channel.first_of(channels) for channel in channels]
     for channel, row in zip(channels, plan, strict=False):
         channel.spot = row
     return bench, plan, bench[at:]

@@ -113,8 +113,10 @@ class Monitor(Protocol):
     def begin_again(self, filter: FilterState, memory: Any) -> None:
         """Velocity and attitude have been set anew: what innovations have told of slow faults is of another state."""
 
-    def problem(self, memory: Any, channels: Mapping[str, Channel]) -> str | None:
-        """What is wrong with a memory that came from outside, in words; None when nothing is."""
+    def problem(self, memory: Any, fresh: Any, channels: Mapping[str, Channel]) -> str | None:
+        """What is wrong with a memory that came from outside, in words; None when nothing is. fresh: one of the same
+        layout, at the start.
+        """
 
     def transferred(self, filter: FilterState, memory: FilterMemory, layout: Layout, given: FilterMemory) -> Any:
         """Its memory where a filter begins anew from the state of another one, with these states.
@@ -144,9 +146,6 @@ class Monitor(Protocol):
 
     def pending(self, filter: FilterState) -> Actions:
         """What refused readings have made necessary, before the next input; whether slow faults were looked for."""
-
-    def look(self, filter: FilterState) -> Actions:
-        """Look for slow faults, if it is time; whether it was."""
 
     # ---------------------------------------------------------------- the inertial unit
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:

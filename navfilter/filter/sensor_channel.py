@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -192,6 +193,10 @@ class Channel:
             self._turned = variance
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
+
+    def first_of(self, channels: Sequence[Channel]) -> int:
+        """Place of the first channel of the same instrument."""
+        return next(i for i, channel in enumerate(channels) if channel is self or channel in self.others)
 
     @property
     def predecessor(self) -> Channel | None:

@@ -37,8 +37,8 @@ UNSURE_HEADING = 0.01
 # memory the verdict, and how long the record for the smoother is; whether a reading of which components are left out is
 # Python's to judge; from which of its parameters to which the slopes are held; which of its axes is the heading (-1:
 # none); whether these parameters may be hidden by the state's error; whether nobody wants to know its transitions;
-# where the table of its fault states stands (0: none), see `fault_states`; which row this is, and where the bank of
-# faults stands (0: none), see `fault_bank`. One more row is for the drive: dimensions of
+# where the table of its fault states stands (0: none), see `fault_states`; the first row of the same instrument, and
+# where the bank of faults stands (0: none), see `fault_bank`. One more row is for the drive: dimensions of
 # a fold, addresses of its steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the
 # longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)

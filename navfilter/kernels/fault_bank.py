@@ -32,9 +32,9 @@ UNCOUNTED: dict = {"_nrt": False}
 # far faults that nobody has noticed may have moved the position and turned the heading; time of the last reading.
 SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ_S, ONSETS = range(10)
 # A signature: how it acts; the channel that it is of (-1: none); an axis of that, north or east, or a state; the
-# variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second, and how many
-# signatures are of one fault with it (0: it belongs to the one before).
-KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, TABLE = range(7)
+# variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second, how many
+# signatures are of one fault with it (0: it belongs to the one before), and how many axes read what moves.
+KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, READ, TABLE = range(8)
 # How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
 # against; a step or a drift of a state of the drive.
 STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT = range(6)
@@ -47,7 +47,7 @@ WINDOWS = 6
 # before, of so many at most; and how much larger than white ones they were before the onset of each window (0: hardly
 # anything was told).
 SQUARE, PRODUCT, TOLD, READINGS, SUMS = range(5)
-AXES = 8
+AXES = 8  # of more the first are summed
 BEFORE = SUMS + 2 * AXES
 HEARD = BEFORE + WINDOWS
 # Before anything is told an error may be twice as large as described, as by so many looks; it is told by so many looks
@@ -141,7 +141,7 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
             kind, place = int(table[k, KIND]), int(table[k, PLACE])
             unit = 0.0
             if kind in (FLOW_STEP, FLOW_RAMP):
-                unit = -near[i, 3 + place]
+                unit = -near[i, 3 + place] if i < table[k, READ] else 0.0
             elif i == place:
                 unit = 1.0
             for w in range(WINDOWS):

@@ -472,7 +472,7 @@ class Navigator(NavigatorStatus):
         problem = (
             misfit(memory, self.memory, "memory")
             or memory.filter.problem(own.memory)
-            or own.monitor.problem(memory.filter.monitor, own.channels)
+            or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
         )
         if problem:
             raise ValueError(problem)

@@ -253,7 +253,7 @@ class BatchRunner:
                 for change in self.nav.learning.learn(self._readings.names[self._readings.sensor[self.at - 1]]):
                     self.nav.filter.adopt(change, self.nav.on_event)
             if why in (kernels.LEARN, kernels.LOOK):
-                self.nav.filter.act(self.nav.filter.monitor.look(self.nav.filter), self.nav.on_event)
+                self.nav.filter.handle_pending(self.nav.on_event)
         return kernels.NEXT if why in GOES_ON else why
 
     def _hearing(self) -> Hearing:
