@@ -1014,7 +1014,7 @@ def memory_offsets(dims):
         2 * a * a,
         a * n + a,
         a * (9 + par),
-        8 + 2 * a,
+        7 + 2 * a,
         max(m, b, 2 * a) * n + 4 * b * b,
     ]
     return tuple(np.cumsum(sizes))

@@ -2,9 +2,9 @@
 
 No gate sees a fault that grows slowly: the filter follows it, and every reading fits. But all innovations together tell
 it, as a mean that only this fault explains (`navfilter.kernels.fault_bank`). A fault is a signature, such as a constant
-of a compass, a bottom that moves ever faster, a step of a gyro's bias, and an onset. It is put in force when it is so
-much likelier than none as an error of four in a thousand demands; with it all that explain the innovations of the same
-window nearly as well. State and covariance are then conditioned on what the innovations have told of their sizes since
+of a compass, a bottom that moves ever faster, a step of a gyro's bias, and an onset. It is put in force when it is
+twenty thousand times likelier than none, and with it all that explain the innovations of the same window nearly as
+well. State and covariance are then conditioned on what the innovations have told of their sizes since
 the onset (Friedland, 1969), and the sensor gets states for what it is off by.
 """
 

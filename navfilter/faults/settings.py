@@ -10,6 +10,8 @@ import math
 
 import numpy as np
 
+from navfilter.kernels import fault_bank
+
 #: For so long after it was refused a sensor may be wrong again [s]: it has to follow turns meanwhile. (chosen)
 UNDISPUTED_S = 600.0
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
@@ -96,11 +98,11 @@ IRON_SLOPE, IRON_SURE = 0.5, 3.0
 
 # -------------------- imu: contradiction
 #: Left out for so long at first [s], twice as long each time that it fails again within as much, at most. (chosen)
-OUT_S, GLR_LONGEST_S = 10.0, 160.0
+OUT_S, OUT_LONGEST_S = 10.0, 160.0
 #: A bias is opened by so many times the jump that was found. [1] (chosen)
-GLR_OPENED = 3.0
+JUMP_OPENED = 3.0
 #: What is left must carry the vehicle: a velocity and a heading heard within so long [s]. (chosen)
-GLR_HEARD_S = 3.0
+CARRIED_HEARD_S = 3.0
 
 # -------------------- imu: gyro scale
 #: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s]. (chosen)
@@ -219,7 +221,7 @@ AGAIN_S = 120.0
 
 # -------------------- protection level
 #: Share of the time that the truth may lie beyond a bound without any fault [1]. (chosen)
-RISK = 1e-3
+RISK = fault_bank.RISK
 #: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
 #: (chosen)
 CONFIRMED_S = 30.0

@@ -60,7 +60,7 @@ class Channel:
     ----------
     noted : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.memory_offsets`` 7 to 9); then its `Times`; then
-        see ``batch.NORTH_WHITE``, ``LET_GO``.
+        see ``batch.LET_GO``.
     memory : Times
         Those in `noted`.
     """
@@ -91,7 +91,7 @@ class Channel:
     def reset_memory(self) -> None:
         """Remember nothing, as at the start."""
         self.noted = np.zeros(batch.NOTED)
-        self.noted[: batch.NORTH_WHITE] = -math.inf
+        self.noted[: batch.LET_GO] = -math.inf
         self.faults: Any = None  # what the monitor remembers of the sensor
         self.count, self.stuck, self.stale = 0, False, False
 

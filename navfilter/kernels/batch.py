@@ -63,9 +63,9 @@ LOOK_S = 11
 # Columns of `heard`, a row a channel: period, until when readings are the kernel's though some have been refused, ticks
 # of the last reading, how long readings wait.
 CHANNEL_PERIOD_S, USUAL_S, TICKS, WAIT_S = range(4)
-# What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last; white
-# variance of the heading in its last reading; for how many ticks its coloured error may have been beyond one sd.
-LAST_S, TICKED_S, TAKEN_S, NORTH_WHITE, LET_GO, NOTED = range(6)
+# What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last; for
+# how many ticks its coloured error may have been beyond one sd.
+LAST_S, TICKED_S, TAKEN_S, LET_GO, NOTED = range(5)
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, most
 # components that one had, the last that had so many, how many have been used, and where the last of them was.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, FIGURES = range(11)
@@ -129,8 +129,6 @@ def _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
     slopes = spot[HELD_TO] - spot[HELD]
     velocity = nav[3], nav[4], nav[5]
     turns = drv[strapdown.OWN] != 0.0 and consistency.turns_with_heading(P, nav[3], nav[4])
-    if spot[NORTH] >= 0:
-        mem[places[8] + 3 + 2 * a + NORTH_WHITE] = R[spot[NORTH], spot[NORTH]]
     # constants that may be told too much: a lever arm's, the sensor's own, the unit's
     has_arm = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.ARM] != 0.0
     by_arm, elements = parameters - 3 - int(timed), int(drv[strapdown.CALIBRATED])

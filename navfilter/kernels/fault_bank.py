@@ -38,9 +38,10 @@ KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, READ, TABLE = range(8)
 # How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
 # against; a step or a drift of a state of the drive.
 STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT = range(6)
-# A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand.
+# A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand. (chosen)
 BELIEVED = 10.0
-# Windows: the onset of each is moved on half as often as that of the one before; the first at each look.
+# Windows: the onset of each is moved on half as often as that of the one before, the first at every other look, the
+# last after eleven minutes. (chosen)
 WINDOWS = 6
 # Of each channel: mean square of the sums of its innovations from look to look, in their sd, and mean product of one
 # with the next; from how many looks these are told; readings since the last look, the sums of their axes, and those
@@ -51,13 +52,13 @@ AXES = 8  # of more the first are summed
 BEFORE = SUMS + 2 * AXES
 HEARD = BEFORE + WINDOWS
 # Before anything is told an error may be twice as large as described, as by so many looks; it is told by so many looks
-# at most, each of which says no more than so much; none is correlated with the next by more than that.
+# at most, each of which says no more than so many sds; none is correlated with the next by more than that. (chosen)
 DOUBLED, DOUBTED, MEMORY, MOST, CORRELATED = 4.0, 5.0, 60.0, 10.0, 0.98
-# After so many looks it is told.
+# After so many looks it is told. (chosen)
 SETTLED = 20.0
-# Until so many looks what innovations tell is of the start.
+# Until so many looks what innovations tell is of the start: a minute, as sensors confirm it. (chosen)
 CONFIRMED = 6
-# Share of the time that the truth may lie beyond a bound [1].
+# Share of the time that the truth may lie beyond a bound [1], see `navfilter.faults.settings`.
 RISK = 1e-3
 
 

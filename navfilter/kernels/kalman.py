@@ -436,7 +436,7 @@ def memory_offsets(dims):
     PH = S + 2 * a * a
     near = PH + a * n + a
     verdict = near + a * (9 + dims[6])
-    work = verdict + 8 + 2 * a  # behind the verdict stands what is noted of readings: see `stretch.LAST_S`
+    work = verdict + 7 + 2 * a  # behind the verdict stands what is noted of readings: see `stretch.LAST_S`
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 

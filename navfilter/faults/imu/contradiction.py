@@ -39,7 +39,7 @@ def accuse(filter: FilterState, slope: float) -> Iterator[Action]:
 
 def _carried(filter: FilterState) -> bool:
     """Whether compass and DVL carry the vehicle without it."""
-    recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < settings.GLR_HEARD_S]
+    recent = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < settings.CARRIED_HEARD_S]
     return any(c.moves and c.faults.aside is None for c in recent) and any(
         c.sensor.observes.north is not None for c in recent
     )
@@ -48,7 +48,7 @@ def _carried(filter: FilterState) -> bool:
 def fails_again(channel: Channel, memory: FilterMemory) -> bool:
     """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
     since_s = memory.time_s - channel.faults.rejected_since_s
-    late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < settings.GLR_LONGEST_S
+    late = memory.time_s - memory.monitor.imu[[0, 3], kernel.UNTIL_S].max() < settings.OUT_LONGEST_S
     carries = channel.faults.aside is None and (channel.moves or channel.sensor.observes.north is not None)
     return late and since_s > settings.REFUSED_S and carries
 
@@ -59,11 +59,11 @@ def _leave_out(filter: FilterState, sizes: Array) -> Iterator[Action]:
     for begin in (0, 3):
         axes, first = filter.memory.monitor.imu[begin : begin + 3], filter.memory.monitor.imu[begin]
         again = now_s - first[kernel.UNTIL_S] < max(first[kernel.OUT_S], settings.OUT_S)
-        first[kernel.OUT_S] = min(2.0 * first[kernel.OUT_S], settings.GLR_LONGEST_S) if again else settings.OUT_S
+        first[kernel.OUT_S] = min(2.0 * first[kernel.OUT_S], settings.OUT_LONGEST_S) if again else settings.OUT_S
         first[kernel.UNTIL_S] = now_s + first[kernel.OUT_S]
         left = axes[:, kernel.CODE] <= kernel.NOISY
         axes[left, kernel.CODE], axes[left, kernel.BEGAN_S] = kernel.CONTRADICTED, 0.0
-        axes[:, kernel.JUMP] = np.maximum(axes[:, kernel.JUMP], settings.GLR_OPENED * np.abs(sizes[begin : begin + 3]))
+        axes[:, kernel.JUMP] = np.maximum(axes[:, kernel.JUMP], settings.JUMP_OPENED * np.abs(sizes[begin : begin + 3]))
     yield from filter.monitor.imu_monitor.heed(filter)
 
 
