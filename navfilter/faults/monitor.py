@@ -12,7 +12,8 @@ from navfilter.faults import fault_bank, noise_scale, policy, sensor_bias, setti
 from navfilter.faults.imu import realignment
 from navfilter.faults.imu.monitor import COUNTED, ImuMonitor
 from navfilter.faults.memory import MonitorMemory, SensorFaults
-from navfilter.filter.actions import Action
+from navfilter.filter.actions import Action, Announce
+from navfilter.filter.events import UnitDoubted
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
@@ -145,6 +146,9 @@ class FaultMonitor:
             policy.used(filter, channel, time_s)
         elif dof and math.isfinite(nis):
             let_in = yield from policy.rejected(filter, channel, time_s, nis, int(dof), worthless)
+            since_s = channel.faults.rejected_since_s
+            if filter.inertial and time_s - since_s >= settings.REFUSED_S:
+                yield Announce(UnitDoubted(since_s - channel.period_s))
         self.has_pending = bool(self.changes or self.is_tilted or self.slope is not None)
         return let_in, described
 

@@ -89,7 +89,13 @@ class StateTransformed(NamedTuple):
     anew: bool = False
 
 
-Event = Correction | Propagated | SamplesUsed | SamplesReplaced | StateTransformed
+class UnitDoubted(NamedTuple):
+    """A sensor has contradicted the state on end since a time [s]: what drives it may be wrong."""
+
+    since_s: float
+
+
+Event = Correction | Propagated | SamplesUsed | SamplesReplaced | StateTransformed | UnitDoubted
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
 

@@ -195,6 +195,29 @@ class Filter:
             memory.channels[name] = channel.noted
         self.monitor.restore(memory.monitor, self.channels, self.bank)
 
+    def become(self, memory: FilterMemory, tell: Listening) -> None:
+        """Go on from what another filter over the same inputs remembers, of which nothing waits to be folded in: of
+        what this one has believed nothing is left.
+        """
+        if self.memory.unfolded:
+            tell(self._fold())
+        before, models, own = self.layout, dict(self.memory.models), self.monitor.conditions(self.memory.monitor)
+        memory.counts = self.memory.counts
+        self.restore(memory)
+        M, tape = np.zeros((self.layout.size, before.size)), self.tape
+        for axis, condition in self.monitor.conditions(memory.monitor).items():
+            if own[axis] != condition:
+                self.apply(actions.AxisCondition(memory.time_s, axis, condition), tell)
+                memory.counts[condition] = memory.counts.get(condition, 0) + 1
+        if tape is not None:
+            tape.change(M)
+            tape.layouts.append(self.layout)
+            for name, error in memory.models:
+                if models.get(name) is not error:
+                    tape.models.setdefault(name, []).append((memory.time_s, error))
+            self._row()
+        tell(StateTransformed(M, anew=True))
+
     # ---------------------------------------------------------------- propagation
     def propagate(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space.

@@ -181,7 +181,8 @@ def _check_axes(sample, w, sd, limits, period_s, increments):
         # -- runs of equal values
         if raw == a[RAW] and a[SEEN] > 0.0:
             a[RUN] += 1.0
-            a[REPEATS] += (1.0 - a[REPEATS]) * REPEATED
+            if a[CODE] <= NOISY:  # a value that is stuck is not what is usual
+                a[REPEATS] += (1.0 - a[REPEATS]) * REPEATED
         else:
             change = abs(raw - a[RAW])
             if a[SEEN] > 0.0 and change > 1e-9 * abs(raw):

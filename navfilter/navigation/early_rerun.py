@@ -105,6 +105,7 @@ def _change_places(nav: Run, other: Run) -> None:
         nav.history.change_places(other.history)
     # the whole filter, not its memory alone: its states are laid out already
     nav.filter, other.filter = other.filter, nav.filter
+    nav.alternative, other.alternative = other.alternative, nav.alternative
     nav.learning.filter, before = nav.filter, nav.learning.beginning
     nav.learning.memory = other.learning.memory
     other.learning.beginning = before
@@ -206,6 +207,7 @@ def _begun(of: Run, learning: LearningMemory, again: RerunRequest, until_s: floa
 def _begin_again(nav: Run, again: RerunRequest, until_s: float, now_s: float) -> None:
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
+    nav.alternative.memory = None
     nav.filter.counts["adopted"] = again.adopted
     inputs = nav.learning.begin_again(until_s)
     history = nav.history

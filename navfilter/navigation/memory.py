@@ -11,6 +11,7 @@ from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.learning_memory import LearningMemory
+from navfilter.navigation.alternative import AlternativeMemory
 
 
 @dataclass
@@ -19,12 +20,13 @@ class NavigatorMemory:
 
     filter: FilterMemory
     learning: LearningMemory
+    alternative: AlternativeMemory | None = None
 
     def whole(self) -> NavigatorMemory:
         """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
         beginning = self.learning.beginning
         kept = None if beginning is None else beginning.first(*self.learning.kept)
-        return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
+        return dataclasses.replace(self, learning=dataclasses.replace(self.learning, beginning=kept))
 
 
 @dataclass

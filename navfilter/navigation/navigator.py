@@ -4,6 +4,7 @@ sensor.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from os import PathLike
 
@@ -14,7 +15,7 @@ from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasureme
 from navfilter.faults.memory import MonitorMemory
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.faults.sensor_monitor import SensorMonitor
-from navfilter.filter.events import Event, Measurement, Outcome
+from navfilter.filter.events import Event, Measurement, Outcome, UnitDoubted
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors
 from navfilter.filter.imu_intake import samples_of
@@ -30,6 +31,7 @@ from navfilter.models.start import Start
 from navfilter.models.state import NavState, Pose
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation import snapshot as snapshots
+from navfilter.navigation.alternative import Alternative
 from navfilter.navigation.early_rerun import EarlyRerun
 from navfilter.navigation.history import History
 from navfilter.navigation.live_runner import prompt_sample, prompts
@@ -115,6 +117,7 @@ class Navigator(NavigatorStatus):
             raise ValueError("this monitor is asked reading by reading, and cannot go back: give history_s=0.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
+        self.alternative = Alternative(vehicle)
         self.early_rerun = EarlyRerun(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
@@ -284,7 +287,10 @@ class Navigator(NavigatorStatus):
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
         if isinstance(item, np.ndarray):
             self.learning.buffer_input(item)
+            again = item.copy() if self.alternative.is_alive else None
             self.filter.propagate(item, self.on_event, self._room)
+            if again is not None:
+                self.alternative.propagate(again)
             self.change_count += bool(self.filter.memory.monitor.silent)
             return None
         if self.learning.beginning is not None:
@@ -292,16 +298,23 @@ class Navigator(NavigatorStatus):
             if not ahead_s > self.filter.ahead_s:
                 self.early_rerun.before(item.time_s)
             self.learning.buffer_input(item)
+        beside = self.alternative if self.alternative.is_alive else None
         self.filter.propagate_to(item.name, item.time_s, self.on_event)
         self.on_event(correction := self.filter.correct(item, self.on_event))
         self.filter.handle_pending(self.on_event)
+        if beside is not None:
+            beside.correct(self.filter, item, correction, self.on_event)
+            self.change_count += 1
         return correction.outcome
 
     def on_event(self, event: Event) -> None:
         """Show learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
+        if isinstance(event, UnitDoubted):
+            self.alternative.begin(self.filter, event.since_s)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
+            self.alternative.adopt(change)
 
     # ---------------------------------------------------------------- error models
     def adopt(self, name: str, error: Errors) -> None:
@@ -324,6 +337,7 @@ class Navigator(NavigatorStatus):
             For an unknown sensor, or something that is no error model.
         """
         self.filter.adopt(Change(name, error), self.on_event)
+        self.alternative.adopt(Change(name, error))
         self.learning.adopted_by_hand(name)
         if self.history is not None:
             self.history.start_here()
@@ -343,13 +357,14 @@ class Navigator(NavigatorStatus):
         """Everything that changes in order; setting one goes back (or on) to it. See
         `navfilter.foundation.state_values`.
         """
-        return NavigatorMemory(self.filter.memory, self.learning.memory)
+        return NavigatorMemory(self.filter.memory, self.learning.memory, self.alternative.memory)
 
     @memory.setter
     def memory(self, memory: NavigatorMemory) -> None:
         self.change_count += 1
         self.filter.restore(memory.filter)
         self.learning.memory = memory.learning
+        self.alternative.memory = memory.alternative
 
     @property
     def time_s(self) -> float:
@@ -468,11 +483,13 @@ class Navigator(NavigatorStatus):
                 self.record_residuals(name, listener.ring.shape[1])
         self.filter.begin(dict(memory.filter.models))
         self.learning.begin_again(-math.inf)
-        own = self.filter
+        own, beside = self.filter, memory.alternative
+        self.alternative.memory = None
         problem = (
-            misfit(memory, self.memory, "memory")
+            misfit(dataclasses.replace(memory, alternative=None), self.memory, "memory")
             or memory.filter.problem(own.memory)
             or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
+            or (None if beside is None else self.alternative.problem(own, beside))
         )
         if problem:
             raise ValueError(problem)

@@ -15,6 +15,7 @@ from navfilter.filter.filter import Filter
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.alternative import Alternative
 from navfilter.navigation.history import History
 from navfilter.navigation.waiting import MeasurementQueue
 
@@ -37,6 +38,8 @@ class Run(Protocol):
         What runs the first minutes again (`navfilter.navigation.early_rerun`).
     fast_paths
         By sensor, what takes its ordinary readings live.
+    alternative : Alternative
+        The second filter beside it while its unit is in doubt.
     change_count : int
         Counts all that changes otherwise than by ordinary inputs.
     """
@@ -50,6 +53,7 @@ class Run(Protocol):
     sensor_monitors: dict[str, SensorMonitor]
     queue: MeasurementQueue
     early_rerun: Any
+    alternative: Alternative
     change_count: int
 
     @property

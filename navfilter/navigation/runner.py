@@ -130,7 +130,9 @@ class BatchRunner:
     @property
     def possible(self) -> bool:
         """Whether the kernel can take anything: nobody has to be asked between samples or after each reading."""
-        return self._steady and not self.nav.filter.memory.intake.offset_s and not self.nav.learning.is_waiting
+        nav = self.nav
+        asked = nav.filter.memory.intake.offset_s or nav.learning.is_waiting or nav.alternative.is_alive
+        return self._steady and not asked
 
     def _feed(self, samples: Array) -> None:
         self.nav.step_samples(samples)

@@ -1,0 +1,205 @@
+"""A second filter beside a run while its inertial unit is in doubt: one of the two uses the unit, the other does not.
+
+A sensor that goes on to contradict the state may be wrong, or the state may be, for the unit that carries it is. The
+same filter without the unit (attitude and velocity are random walks, as where samples are missing) follows the sensors
+whatever the unit says. Both are given the same inputs, and how likely each made the readings of the last minute decides
+which of them is the run (`navfilter.faults.lane_selection`). The run without a unit tries it again in the same way: the
+filter beside it then uses the unit, from the present state and with its errors as wide as at the start.
+
+The second filter costs as much as the first, and is there only while something is in doubt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.faults import settings
+from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
+from navfilter.faults.monitor import FaultMonitor
+from navfilter.filter.actions import Fold
+from navfilter.filter.events import Correction, Event, Listening, Measurement
+from navfilter.filter.filter import Filter
+from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.model_change import Change
+from navfilter.foundation.state_values import copied, misfit
+from navfilter.kernels import imu_checks
+from navfilter.models.lane_clock import ANEW_S
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.lanes.state_transfer import transplant
+
+Array = NDArray[np.float64]
+#: The filter that uses the unit, and the one that does not, as `LaneChoice` numbers them.
+WITH_UNIT, WITHOUT = 0, 1
+
+
+@dataclass
+class AlternativeMemory:
+    """Everything that changes in the second filter.
+
+    Attributes
+    ----------
+    filter : FilterMemory
+        Of the one that is not the run.
+    choice : LaneChoiceMemory
+        Its `lane` is what the run is.
+    refused_s : float
+        When the run has last refused a reading [s].
+    """
+
+    filter: FilterMemory
+    choice: LaneChoiceMemory
+    refused_s: float
+
+
+class Alternative:
+    """The second filter.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Attributes
+    ----------
+    is_alive : bool
+        Whether there is one at present.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle, self.is_alive = vehicle, False
+        told = [sensor.observes for sensor in vehicle.sensors.values()]
+        self._carries = vehicle.drive.inertial and any(observes.north is not None for observes in told)
+        self._carries = self._carries and any(observes.corrects in ("velocity", "position") for observes in told)
+
+    @property
+    def memory(self) -> AlternativeMemory | None:
+        """Everything that changes; setting it goes back (or on) to it."""
+        return AlternativeMemory(self._filter.memory, self._choice.memory, self._refused_s) if self.is_alive else None
+
+    @memory.setter
+    def memory(self, memory: AlternativeMemory | None) -> None:
+        self.is_alive = memory is not None
+        if memory is not None:
+            self._filter.restore(memory.filter)
+            self._choice.memory, self._refused_s = memory.choice, memory.refused_s
+
+    def prepare(self, main: Filter, models: tuple[tuple[str, Errors], ...] = ()) -> None:
+        """Make the second filter, where there is none yet, with these models in force at its start."""
+        if self._filter is None:
+            self._filter = Filter(self._vehicle, main.start, FaultMonitor(self._vehicle))
+        if models:
+            self._filter.begin(dict(models))
+        sensors = {name: sensor for name, sensor in self._vehicle.sensors.items() if not sensor.lead_s}
+        force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
+        self._choice = LaneChoice([True, False], sensors, main.time_s, force_sd)
+        self._numbers = {name: i for i, name in enumerate(self._choice.names)}
+        self._refused_s = main.time_s
+
+    def problem(self, main: Filter, memory: AlternativeMemory) -> str | None:
+        """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
+        self.prepare(main, memory.filter.models)
+        self.is_alive, own = True, self._filter
+        found = misfit(memory, self.memory, "memory.alternative") or memory.filter.problem(own.memory)
+        found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
+        if not found and memory.choice.lane not in (WITH_UNIT, WITHOUT):
+            found = "memory.alternative.choice.lane is none"
+        return found
+
+    def begin(self, main: Filter, since_s: float) -> None:
+        """A sensor has contradicted the run since a time [s]: go on without the unit beside it, if anything could."""
+        if self.is_alive or not self._carries or main.memory.monitor.has_excluded:
+            return
+        self.prepare(main)
+        self._take_state(main)
+        monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
+        axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
+        axes[:, imu_checks.CODE], axes[:, imu_checks.UNTIL_S] = imu_checks.CONTRADICTED, math.inf
+        axes[:, imu_checks.BEGAN_S] = main.time_s - since_s
+        self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
+        self.is_alive = True
+
+    def _take_state(self, main: Filter) -> None:
+        """Stand where the run stands, with the errors of the unit as at the start and no reading refused."""
+        given = copied(main.memory)
+        memory = transplant(main, self._filter).memory
+        memory.sample_s, memory.drv, memory.recent, memory.intake = (
+            *(given.sample_s, given.drv, given.recent, given.intake),
+        )
+        memory.monitor.imu[:] = given.monitor.imu
+        for kept in memory.monitor.channels.values():
+            kept.rejected_since_s, kept.refused, kept.evidence, kept.way = math.nan, None, None, None
+        self._filter.restore(memory)
+
+    def adopt(self, change: Change) -> None:
+        """The run has put another error model in force."""
+        if self.is_alive:
+            self._filter.adopt(change, _ignore)
+
+    def propagate(self, samples: Array) -> None:
+        """Take samples that the run takes, too; the array is used as work space."""
+        self._filter.propagate(samples, _ignore)
+
+    def correct(self, main: Filter, reading: Measurement, correction: Correction, tell: Listening) -> None:
+        """Take a reading that the run has just taken, and see which of the two is to go on.
+
+        Parameters
+        ----------
+        main : Filter
+            That of the run; it is changed where the other one goes on.
+        reading : Measurement
+        correction : Correction
+            What became of it in the run.
+        tell : callable
+            Is told what happens to the run's state.
+        """
+        own = self._filter
+        own.propagate_to(reading.name, reading.time_s, _ignore)
+        answer = own.correct(reading, _ignore)
+        own.handle_pending(_ignore)
+        number, lane = self._numbers.get(reading.name), self._choice.memory.lane
+        self._choice.decide_until(reading.time_s)
+        for filter, which, said in ((main, lane, correction), (own, 1 - lane, answer)):
+            if number is not None and said.outcome.dof:
+                note = filter.channels[reading.name].note
+                axes = (len(note) - 3) // 2
+                foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
+                lost = which == WITH_UNIT and filter.memory.monitor.has_excluded
+                self._choice.compare(which, number, reading.time_s, *foretold, lost)
+        if self._choice.memory.lane != lane:
+            self._change_places(main, tell)
+        elif lane == WITHOUT and WITH_UNIT in self._choice.due_restarts() and self._is_due():
+            self._take_state(main)
+            self._use_unit()
+            self._choice.on_restart(WITH_UNIT)
+        if correction.outcome.status == "rejected":
+            self._refused_s = reading.time_s
+        if self._choice.memory.lane == WITH_UNIT and reading.time_s - self._refused_s > settings.WINDOW_S:
+            self.is_alive = False
+
+    def _is_due(self) -> bool:
+        """Whether it is long enough ago that the unit was tried."""
+        tried = self._choice.memory
+        return (tried.step - float(tried.begun[WITH_UNIT])) * settings.LANE_STEP_S >= ANEW_S
+
+    def _use_unit(self) -> None:
+        """Let the second filter use the axes that were left out because they were in doubt."""
+        monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
+        axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
+        out = axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED
+        axes[out, imu_checks.CODE], axes[:, imu_checks.UNTIL_S] = imu_checks.GOOD, -math.inf
+        self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
+        self._filter.set_imu_noise()
+
+    def _change_places(self, main: Filter, tell: Listening) -> None:
+        """Let the run go on as the second filter, and that as the run."""
+        self._filter.apply(Fold(), _ignore)
+        given, before = copied(self._filter.memory), copied(main.memory)
+        main.become(given, tell)
+        self._filter.restore(before)
+
+
+def _ignore(event: Event) -> None:
+    """Nobody listens to the second filter."""
