@@ -11,6 +11,7 @@ from navfilter.navigation.navigator import Navigator
 def assert_same_bits(one: Navigator, two: Navigator) -> None:
     """Whatever comes next, both give the same."""
     assert differences(one.filter.memory, two.filter.memory) == []
+    assert differences(one.alternative.memory, two.alternative.memory) == []
     np.testing.assert_array_equal(two.learning.memory.fed_back, one.learning.memory.fed_back)
 
 

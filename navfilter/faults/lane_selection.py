@@ -98,16 +98,23 @@ class LaneChoice:
 
     Attributes
     ----------
+    alone : ndarray, shape (sensors,)
+        1: this velocity may tell by itself that a unit is wrong; elsewhere two sensors do.
     told : callable, optional
         Called after each comparison.
     """
 
     def __init__(
-        self, inertial: Sequence[bool], sensors: dict[str, Sensor], start_s: float, force_sd: float = Imu.gap_force_sd
+        self,
+        inertial: Sequence[bool],
+        sensors: dict[str, Sensor],
+        start_s: float,
+        force_sd: float = Imu.gap_force_sd,
     ) -> None:
         self._inertial, self._force_sd = np.array(inertial), force_sd
         self.told: Callable[[], None] | None = None
         self.names = [name for name, sensor in sensors.items() if not sensor.from_drive]
+        self.alone = np.ones(len(self.names))
         self._velocity = [i for i, name in enumerate(self.names) if sensors[name].observes.corrects == "velocity"]
         self._sd = [_sds(sensors[name]) for name in self.names]
         shape = len(inertial), len(self.names), 4
@@ -225,13 +232,15 @@ class LaneChoice:
         better = (more > settings.LANE_MARGIN).any(axis=0)
         if memory.carried[now]:  # what is lost without a unit, no reading need tell: one that feels is worth more
             better |= more[-1] > 0.0
-        ready = felt & sound & better
+        # of no sensor may it have foretold less, of late either
+        against = (gains < gains[:, now : now + 1] - settings.SECOND).any(axis=(0, 2))
+        ready = felt & sound & better & ~(against & (not self._inertial[now]))
         best = now if not ready.any() else int(np.argmax(np.where(ready, more.max(axis=0), -math.inf)))
         span, beside = int(np.argmax(more[:, best])), np.zeros((2, len(self.names)))
         for lane in np.flatnonzero(~felt & (sound | ~self._inertial)).tolist():
             each = gains[:, lane] - gains[:, best]
             both = (each.sum(axis=1) > settings.LANE_MARGIN) & ((each > settings.SECOND).sum(axis=1) > 1)
-            single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)])
+            single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)]) * self.alone
             if both.any() or single.any():
                 best, beside = lane, single * (not both.any())
                 span = int(np.argmax(both)) if both.any() else STEPS - 1

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from navfilter.faults import settings
 from navfilter.faults.alternative_path import AlternativePath
 from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
-from navfilter.faults.imu.gyro_scale import GyroScaleTest
 from navfilter.faults.imu.monitor import CONDITIONS
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.sensor_bias import RejectionRun
@@ -63,8 +62,6 @@ class SensorFaults:
         Of one of which several readings have been refused of late: how they scatter.
     reckoned : DeadReckoningComparison or None
         Of fixes that are refused beside dead reckoning without an inertial unit: their way, and its.
-    turns : GyroScaleTest or None
-        Of a compass that was refused: what it said of the gyros.
     partly_since_s : float
         Since when components of each reading are left out alone (`Sensor.single_s`); NaN where they are not [s].
     same_s, again_s : float
@@ -89,7 +86,6 @@ class SensorFaults:
     course: tuple[float, ...] = ()
     scatter: NoiseScale | None = None
     reckoned: DeadReckoningComparison | None = None
-    turns: GyroScaleTest | None = None
     partly_since_s: float = math.nan
     same_s: float = math.nan
     again_s: float = math.nan
@@ -152,7 +148,7 @@ class MonitorMemory:
 
     Attributes
     ----------
-    imu : ndarray, shape (7, 22) or (0, 22)
+    imu : ndarray, shape (7, 18) or (0, 18)
         What is known of the axes of the inertial unit, see `navfilter.kernels.imu_checks`.
     channels : dict of str to SensorFaults
     bank : ndarray

@@ -40,8 +40,6 @@ class FaultMonitor:
         Of the samples of the inertial unit.
     changes : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
-    slope : float or None
-        A velocity sensor has been left behind by the unit, see `velocity_evidence.accused`.
     is_tilted : bool
         Attitude and velocity are to be set anew before the next input, see `realignment.tilted`.
     """
@@ -52,7 +50,6 @@ class FaultMonitor:
         self.imu_monitor = ImuMonitor(vehicle.drive)
         self.sample_limits = self.imu_monitor.limits
         self.changes: list[Change] = []
-        self.slope: float | None = None
         self.is_tilted = self.has_pending = False
 
     #: Whether a kernel may take readings in batches without asking for each.
@@ -149,7 +146,7 @@ class FaultMonitor:
             since_s = channel.faults.rejected_since_s
             if filter.inertial and time_s - since_s >= settings.REFUSED_S:
                 yield Announce(UnitDoubted(since_s - channel.period_s))
-        self.has_pending = bool(self.changes or self.is_tilted or self.slope is not None)
+        self.has_pending = bool(self.changes or self.is_tilted)
         return let_in, described
 
     def pending(self, filter: FilterState) -> Actions:

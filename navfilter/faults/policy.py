@@ -27,10 +27,11 @@ from navfilter.faults import (
 )
 from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
-from navfilter.faults.imu import contradiction, gyro_scale, realignment
+from navfilter.faults.imu import realignment
 from navfilter.faults.protection_level import IN_LINE
 from navfilter.faults.sensor_bias import RejectionRun
-from navfilter.filter.actions import Action, Adopt, Count, Inflate, Readmit
+from navfilter.filter.actions import Action, Adopt, Announce, Count, Inflate, Readmit
+from navfilter.filter.events import UnitDoubted
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
@@ -105,12 +106,6 @@ def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejec
         channel.faults.way = alternative_path.with_rejected(filter, channel, reading.time_s)
 
 
-def _gyro_scale(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A compass that contradicts a gyro's scale or sign: the gyro is left out. Decides nothing of the reading."""
-    if channel.sensor.observes.north is not None:
-        yield from gyro_scale.refused(filter, channel, reading.time_s)
-
-
 def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A velocity whose lever arm or clock is described wrongly: it counts with what that makes of it. Before it has
     confirmed the state, that may as well be wrong.
@@ -137,16 +132,12 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
 
 def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A velocity that the unit leaves behind on a ramp: the unit is wrong."""
-    yield from ()
-    if not channel.moves:
-        return None
-    monitor = filter.monitor
-    monitor.slope = velocity_evidence.accused(filter, channel, reading.time_s)
-    if monitor.slope is None:
+    if not (channel.moves and velocity_evidence.accuses_unit(filter, channel, reading.time_s)):
         return None
     if channel.offset:
         channel.faults.aside = None
-        monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+        filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+    yield Announce(UnitDoubted(channel.faults.rejected_since_s - channel.period_s, told=True))
     return False
 
 
@@ -360,11 +351,6 @@ def _gone_astray(filter: FilterState, channel: Channel) -> Iterator[Action]:
 
 def pending(filter: FilterState) -> Iterator[Action]:
     """Do what refused readings have made necessary, before the next input."""
-    if filter.monitor.slope is not None:
-        slope, filter.monitor.slope = filter.monitor.slope, None
-        yield from contradiction.accuse(filter, slope)
-        yield from _turned_to_the_compass(filter)
-        yield from realignment.set_anew(filter)
     if filter.monitor.is_tilted:
         filter.monitor.is_tilted = False
         yield from realignment.set_anew(filter)
@@ -381,24 +367,6 @@ def pending(filter: FilterState) -> Iterator[Action]:
             yield from turned_by_fixes(filter, *change.turn)
         elif change.turn is not None:
             yield from turned(filter, channel, *change.turn)
-
-
-def _turned_to_the_compass(filter: FilterState) -> Iterator[Action]:
-    """The drive is wrong: where a compass has been refused, too, the heading is what it says."""
-    now_s = filter.memory.time_s
-    for channel in filter.channels.values():
-        kept = channel.faults
-        lasts = (
-            now_s - kept.rejected_since_s >= settings.REFUSED_S
-            and now_s - channel.memory.last_s < settings.TILT_HEARD_S
-        )
-        north = channel.sensor.observes.north
-        if lasts and north is not None and not channel.offset:
-            off = innovation_gate.whole_heading(channel, filter.memory.x)
-            if abs(off) < math.tau:  # else it is no angle
-                variance = float(channel.white[north, north]) + channel.slow[north]
-                yield from turned(filter, channel, math.remainder(off, math.tau), variance)
-                return  # what another one read was held against the heading before
 
 
 def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
@@ -501,7 +469,6 @@ REJECTED = (
     _frozen_or_worthless,
     _fix_out_of_reach,
     _note_alternative_path,
-    _gyro_scale,
     _described_wrongly,
     _acceleration,
     _tilt,

@@ -96,39 +96,6 @@ SAME_SPEED = 2.0
 #: A deviation that changes with the heading by more than this, at so many of its standard deviations [1]. (chosen)
 IRON_SLOPE, IRON_SURE = 0.5, 3.0
 
-# -------------------- imu: contradiction
-#: Left out for so long at first [s], twice as long each time that it fails again within as much, at most. (chosen)
-OUT_S, OUT_LONGEST_S = 10.0, 160.0
-#: A bias is opened by so many times the jump that was found. [1] (chosen)
-JUMP_OPENED = 3.0
-#: What is left must carry the vehicle: a velocity and a heading heard within so long [s]. (chosen)
-CARRIED_HEARD_S = 3.0
-
-# -------------------- imu: gyro scale
-#: Steps are so long at least, and at most [s]; so many are kept, and none that is older [1], [s]. (chosen)
-GYRO_STEP_S, GYRO_LONGEST_S, STEPS, OLDEST_S = 0.5, 10.0, 24, 60.0
-#: A compass may turn by more or less than the vehicle, by this share of a step [1]: a deviation of 10 degrees does so.
-#: (chosen)
-GYRO_SHARE = 0.2
-#: A step counts as so much at most, as a square of standard deviations [1]: a single one proves nothing. (derived)
-MOST = 9.0
-#: How much likelier a factor has to be than none, as twice the log of the ratio [1]: four steps at least, six standard
-#: deviations. (derived)
-GYRO_LIMIT = 36.0
-#: Of what contradicts, a factor must leave less than this share [1]. (chosen)
-LEFT = 0.35
-#: Factors between these are those of a deviation; smaller ones, of either sign, are none [1]. (chosen)
-NEARLY, NONE = (0.62, 1.6), 0.2
-#: So far the vehicle must have turned, fast, since the compass was refused for so long [rad], [s]. (chosen)
-FOLLOWED, GYRO_DISPUTED_S = 1.0, 5.0
-#: And it has been refused for so long on end [s]: of one with heavy tails that is refused now and then, those readings
-#: are far apart whatever the gyros say. (chosen)
-LASTS_S = 1.0
-#: A velocity has been refused so lately [s]. (chosen)
-LATELY_S = 3.0
-#: An axis is used again once its factor is known to so much, and so close to 1 [1]. (chosen)
-KNOWN, CLOSE = 0.1, 0.25
-
 # -------------------- imu: monitor
 #: What a vehicle does unseen goes on for about so long [s]. (chosen)
 UNSEEN_S = 1.0
@@ -271,8 +238,6 @@ WAY_M = 50.0
 LONG_S = 10.0
 #: While the vehicle turns faster, no force is told [rad/s]: an error of the heading is one that grows, too. (chosen)
 TURNING = 0.05
-#: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s]. (chosen)
-RUNAWAY_S = 2.0
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.

@@ -19,8 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings
-from navfilter.faults.alternative_path import most_speed
-from navfilter.faults.imu import contradiction
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks, strapdown
@@ -140,8 +138,8 @@ def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
     return places, E[np.ix_(known, known)], off[:, ~known] @ E[np.ix_(~known, ~known)] @ off[:, ~known].T
 
 
-def accused(filter: FilterState, channel: Channel, time_s: float) -> float | None:
-    """Force by which a refused velocity accuses the drive [m/s^2]; None where it does not.
+def accuses_unit(filter: FilterState, channel: Channel, time_s: float) -> bool:
+    """Whether refused velocities are explained by a force that the unit feels wrongly, and by nothing else.
 
     Parameters
     ----------
@@ -151,9 +149,7 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
     time_s : float
         Of the reading [s].
     """
-    kept, right = channel.faults, _was_right(filter, channel)
-    if filter.inertial and contradiction.fails_again(channel, filter.memory):
-        return 0.0
+    kept, right = channel.faults, was_right(filter, channel)
     # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
     least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S
     told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= least_s
@@ -162,12 +158,10 @@ def accused(filter: FilterState, channel: Channel, time_s: float) -> float | Non
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
         kept.evidence = None
-        return size
-    if right and _ran_away(filter, channel, time_s):
-        return 0.0
+        return True
     if time_s - kept.rejected_since_s >= settings.REFUSED_S and not (right and kept.undisputed):
         kept.disputed_s = time_s
-    return None
+    return False
 
 
 def force(channel: Channel, described: bool) -> float | None:
@@ -188,7 +182,7 @@ def force(channel: Channel, described: bool) -> float | None:
     return size if ramp.gain > others + settings.JUMP_ODDS and began <= sds[0] + size * channel.period_s else None
 
 
-def _was_right(filter: FilterState, channel: Channel) -> bool:
+def was_right(filter: FilterState, channel: Channel) -> bool:
     """Whether a velocity that is refused was used for long before, on a way: what is described wrongly shows when the
     vehicle first moves off.
     """
@@ -196,21 +190,6 @@ def _was_right(filter: FilterState, channel: Channel) -> bool:
         return False
     kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
     return channel.memory.used_s - kept.agreed_s >= settings.USED_S and math.hypot(*way) >= settings.WAY_M
-
-
-def _ran_away(filter: FilterState, channel: Channel, time_s: float) -> bool:
-    """Whether the state has become faster than the vehicle can be, while a velocity that was right is refused."""
-    kept, stated = channel.faults, filter.vehicle.drive.max_speed_m_s
-    if not time_s - kept.rejected_since_s >= settings.RUNAWAY_S:
-        return False
-    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "position")
-    if max(fixes, default=-math.inf) > kept.rejected_since_s:
-        return False
-    velocity, residual = filter.memory.nav[3:6], _residual(channel)
-    seen = np.isfinite(residual)
-    claimed = float(np.linalg.norm(velocity + ground_velocity.as_velocity(channel, seen) @ residual[seen]))
-    most = float(most_speed(max(claimed, kept.refused_speed), stated))
-    return claimed <= most < float(np.linalg.norm(velocity))
 
 
 def _residual(channel: Channel) -> Array:

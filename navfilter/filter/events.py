@@ -90,9 +90,10 @@ class StateTransformed(NamedTuple):
 
 
 class UnitDoubted(NamedTuple):
-    """A sensor has contradicted the state on end since a time [s]: what drives it may be wrong."""
+    """A sensor has contradicted the state on end since a time [s]: what drives it may be wrong; `told`: it is."""
 
     since_s: float
+    told: bool = False
 
 
 Event = Correction | Propagated | SamplesUsed | SamplesReplaced | StateTransformed | UnitDoubted

@@ -208,7 +208,8 @@ class Filter:
         for axis, condition in self.monitor.conditions(memory.monitor).items():
             if own[axis] != condition:
                 self.apply(actions.AxisCondition(memory.time_s, axis, condition), tell)
-                memory.counts[condition] = memory.counts.get(condition, 0) + 1
+                if condition in memory.counts:
+                    memory.counts[condition] += 1
         if tape is not None:
             tape.change(M)
             tape.layouts.append(self.layout)

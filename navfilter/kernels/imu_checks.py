@@ -1,7 +1,7 @@
 """What the samples of an inertial unit say about themselves: axes that stick, are dead, clip, become noisy, or feel
 gravity where it is not.
 
-``w`` (7, 22) is all that is remembered. Rows 0 to 5 are the axes (three gyros, three accelerometers), with the columns
+``w`` (7, 18) is all that is remembered. Rows 0 to 5 are the axes (three gyros, three accelerometers), with the columns
 below; row 6 belongs to the unit as a whole. Values are compared as they come (a sample that repeats does so to the
 bit); everything else is in rates and forces.
 """
@@ -27,18 +27,15 @@ UNCOUNTED: dict = {"_nrt": False}
 # Columns of an axis: its condition, how long that had lasted when it was found [s] and how long nothing has spoken for
 # it [s]; the last value as it came, times it came in a row, share of values that repeat, smallest change; the last two
 # as rates, largest magnitude; variance of second differences now and usually, samples seen; mean over 0.1 s; spikes so
-# far and the size of the last. The last columns belong to the filter: the condition that it has heeded, the white
-# variance that it believes in (0: that of the description), how far its bias is to be opened; and for each three of a
-# kind how long and until when they are left out for it [s]; and whether it is left out until a compass takes it back.
+# far and the size of the last. The last columns belong to the filter: the condition that it has heeded, and the white
+# variance that it believes in (0: that of the description).
 CODE, BEGAN_S, CLEAN_S, RAW, RUN, REPEATS, QUANTUM, LAST, BEFORE, EXTREME = range(10)
-NOISE, USUAL, SEEN, MEAN, SPIKES, SIZE, HEEDED, WHITE, JUMP, OUT_S, UNTIL_S = range(10, 21)
-HELD, COLUMNS = 21, 22
+NOISE, USUAL, SEEN, MEAN, SPIKES, SIZE, HEEDED, WHITE, COLUMNS = range(10, 19)
 # Places in the row of the unit: samples since its attitude was asked for, whether something is to be looked at, how
 # long gravity has been off, and been close [s]; whether the reference may be judged by; the reference: specific force
-# at rest in b (3) [m/s^2]; gravity [m/s^2]; how far the gyros, good or bad, have turned about it, and how far of that
-# faster than `QUICKLY` [rad].
+# at rest in b (3) [m/s^2]; gravity [m/s^2].
 UNIT = 6
-TICK, NEWS, OFF_S, CLOSE_S, SURE, REFERENCE, GRAVITY, TURNED, FAST = 0, 1, 2, 3, 4, 5, 8, 9, 10
+TICK, NEWS, OFF_S, CLOSE_S, SURE, REFERENCE, GRAVITY = 0, 1, 2, 3, 4, 5, 8
 
 # Conditions. Beyond `NOISY` nothing of an axis is used; from `MISPLACED` to `IN_G` it is gravity that says so. The last
 # two are set by others, and `CONTRADICTED` is ended by them, too.
@@ -58,7 +55,6 @@ DEGREES = 2025.0, 4900.0  # times the usual variance (45 to 70 standard deviatio
 CLIP = 16.0  # a second difference counts as at most so many times the variance: single samples are spikes
 SPIKE = 12.0  # standard deviations of a single sample off both its neighbours (normal: never)
 MEAN_S = 0.1
-QUICKLY = 0.05  # a turn, and no swell [rad/s]
 OFF, NEAR = 0.7, 0.35  # of gravity: no vehicle that swims accelerates so for `OFF_FOR_S`
 OFF_FOR_S, RECOVERS_S = 0.3, 1.0
 LEVEL_SD = 0.1  # gravity is held against accelerometers while roll and pitch are known to this [rad]
@@ -259,11 +255,6 @@ def _turn(sample, w, period_s, increments):
             sample[1 + i] = 0.0 if i < 3 else unit[REFERENCE + i - 3] * (dt if increments else 1.0)
     # between two looks at the attitude the reference turns with the gyros
     r0, r1, r2 = unit[REFERENCE], unit[REFERENCE + 1], unit[REFERENCE + 2]
-    per_g = 1.0 / max(unit[GRAVITY], 1.0)
-    unit[TURNED] -= (r0 * w[0, LAST] + r1 * w[1, LAST] + r2 * w[2, LAST]) * per_g * dt
-    turn = abs(r0 * w[0, MEAN] + r1 * w[1, MEAN] + r2 * w[2, MEAN]) * per_g
-    if turn > QUICKLY:
-        unit[FAST] += turn * dt
     p, q, r = sample[1] * per * dt, sample[2] * per * dt, sample[3] * per * dt
     unit[REFERENCE] = r0 + r1 * r - r2 * q
     unit[REFERENCE + 1] = r1 + r2 * p - r0 * r

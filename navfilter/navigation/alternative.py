@@ -4,7 +4,7 @@ A sensor that goes on to contradict the state may be wrong, or the state may be,
 same filter without the unit (attitude and velocity are random walks, as where samples are missing) follows the sensors
 whatever the unit says. Both are given the same inputs, and how likely each made the readings of the last minute decides
 which of them is the run (`navfilter.faults.lane_selection`). The run without a unit tries it again in the same way: the
-filter beside it then uses the unit, from the present state and with its errors as wide as at the start.
+filter beside it then uses the unit, from the present state, its biases opened by what the vehicle may do unseen.
 
 The second filter costs as much as the first, and is there only while something is in doubt.
 """
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from navfilter.faults import settings
 from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
 from navfilter.faults.monitor import FaultMonitor
-from navfilter.filter.actions import Fold
+from navfilter.faults.velocity_evidence import was_right
+from navfilter.filter.actions import Fold, Inflate
 from navfilter.filter.events import Correction, Event, Listening, Measurement
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -45,14 +46,20 @@ class AlternativeMemory:
     filter : FilterMemory
         Of the one that is not the run.
     choice : LaneChoiceMemory
-        Its `lane` is what the run is.
+        Its `lane` is what the run is, or is to be by the next reading.
+    lane : int
+        What the run is.
     refused_s : float
         When the run has last refused a reading [s].
+    confirmed : ndarray, shape (sensors,)
+        1: the sensor was right for long before.
     """
 
     filter: FilterMemory
     choice: LaneChoiceMemory
+    lane: int
     refused_s: float
+    confirmed: Array
 
 
 class Alternative:
@@ -61,6 +68,8 @@ class Alternative:
     Parameters
     ----------
     vehicle : Vehicle
+    wanted : bool
+        Without, there is never one.
 
     Attributes
     ----------
@@ -68,35 +77,42 @@ class Alternative:
         Whether there is one at present.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle, self.is_alive = vehicle, False
+    def __init__(self, vehicle: Vehicle, wanted: bool = True) -> None:
+        self._vehicle, self._made, self.is_alive = vehicle, False, False
+        self._filter: Filter
+        self._choice: LaneChoice
+        self._lane, self._refused_s = WITH_UNIT, math.nan
         told = [sensor.observes for sensor in vehicle.sensors.values()]
-        self._carries = vehicle.drive.inertial and any(observes.north is not None for observes in told)
+        self._carries = wanted and vehicle.drive.inertial and any(observes.north is not None for observes in told)
         self._carries = self._carries and any(observes.corrects in ("velocity", "position") for observes in told)
 
     @property
     def memory(self) -> AlternativeMemory | None:
         """Everything that changes; setting it goes back (or on) to it."""
-        return AlternativeMemory(self._filter.memory, self._choice.memory, self._refused_s) if self.is_alive else None
+        if not self.is_alive:
+            return None
+        choice = self._choice
+        return AlternativeMemory(self._filter.memory, choice.memory, self._lane, self._refused_s, choice.alone)
 
     @memory.setter
     def memory(self, memory: AlternativeMemory | None) -> None:
         self.is_alive = memory is not None
         if memory is not None:
             self._filter.restore(memory.filter)
-            self._choice.memory, self._refused_s = memory.choice, memory.refused_s
+            self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
+            self._lane, self._refused_s = memory.lane, memory.refused_s
 
     def prepare(self, main: Filter, models: tuple[tuple[str, Errors], ...] = ()) -> None:
         """Make the second filter, where there is none yet, with these models in force at its start."""
-        if self._filter is None:
-            self._filter = Filter(self._vehicle, main.start, FaultMonitor(self._vehicle))
+        if not self._made:
+            self._made, self._filter = True, Filter(self._vehicle, main.start, FaultMonitor(self._vehicle))
         if models:
             self._filter.begin(dict(models))
         sensors = {name: sensor for name, sensor in self._vehicle.sensors.items() if not sensor.lead_s}
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
         self._choice = LaneChoice([True, False], sensors, main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
-        self._refused_s = main.time_s
+        self._lane, self._refused_s = WITH_UNIT, main.time_s
 
     def problem(self, main: Filter, memory: AlternativeMemory) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
@@ -104,22 +120,35 @@ class Alternative:
         self.is_alive, own = True, self._filter
         found = misfit(memory, self.memory, "memory.alternative") or memory.filter.problem(own.memory)
         found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
-        if not found and memory.choice.lane not in (WITH_UNIT, WITHOUT):
-            found = "memory.alternative.choice.lane is none"
+        if not found and not {memory.lane, memory.choice.lane} <= {WITH_UNIT, WITHOUT}:
+            found = "memory.alternative.lane is none"
         return found
 
-    def begin(self, main: Filter, since_s: float) -> None:
-        """A sensor has contradicted the run since a time [s]: go on without the unit beside it, if anything could."""
-        if self.is_alive or not self._carries or main.memory.monitor.has_excluded:
+    def begin(self, main: Filter, since_s: float, told: bool = False) -> None:
+        """A sensor has contradicted the run since a time [s]: go on without the unit beside it, if anything could.
+
+        Parameters
+        ----------
+        main : Filter
+            That of the run.
+        since_s : float
+        told : bool
+            What that sensor reads tells already that it is the unit: by the next reading the run does without it.
+        """
+        if not self._carries or main.memory.monitor.has_excluded:
             return
-        self.prepare(main)
-        self._take_state(main)
-        monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
-        axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
-        axes[:, imu_checks.CODE], axes[:, imu_checks.UNTIL_S] = imu_checks.CONTRADICTED, math.inf
-        axes[:, imu_checks.BEGAN_S] = main.time_s - since_s
-        self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
-        self.is_alive = True
+        if not self.is_alive:
+            self.prepare(main)
+            right = [was_right(main, main.channels[name]) for name in self._choice.names]
+            self._choice.alone = np.array(right, dtype=np.float64)
+            self._take_state(main)
+            monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
+            axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
+            axes[:, imu_checks.CODE], axes[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, main.time_s - since_s
+            self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
+            self.is_alive = True
+        if told:
+            self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = WITHOUT, 1.0
 
     def _take_state(self, main: Filter) -> None:
         """Stand where the run stands, with the errors of the unit as at the start and no reading refused."""
@@ -159,7 +188,7 @@ class Alternative:
         own.propagate_to(reading.name, reading.time_s, _ignore)
         answer = own.correct(reading, _ignore)
         own.handle_pending(_ignore)
-        number, lane = self._numbers.get(reading.name), self._choice.memory.lane
+        number, lane = self._numbers.get(reading.name), self._lane
         self._choice.decide_until(reading.time_s)
         for filter, which, said in ((main, lane, correction), (own, 1 - lane, answer)):
             if number is not None and said.outcome.dof:
@@ -176,7 +205,7 @@ class Alternative:
             self._choice.on_restart(WITH_UNIT)
         if correction.outcome.status == "rejected":
             self._refused_s = reading.time_s
-        if self._choice.memory.lane == WITH_UNIT and reading.time_s - self._refused_s > settings.WINDOW_S:
+        if self._lane == WITH_UNIT and reading.time_s - self._refused_s > settings.WINDOW_S:
             self.is_alive = False
 
     def _is_due(self) -> bool:
@@ -189,13 +218,19 @@ class Alternative:
         monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
         axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
         out = axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED
-        axes[out, imu_checks.CODE], axes[:, imu_checks.UNTIL_S] = imu_checks.GOOD, -math.inf
+        axes[out, imu_checks.CODE] = imu_checks.GOOD
         self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
+        drive, group = self._vehicle.drive, self._filter.layout.drive
+        unknown = np.repeat([drive.gap_rate_sd, drive.gap_force_sd], 3)  # type: ignore[attr-defined]
+        for places, sd in zip(group.biases, unknown.tolist(), strict=True):
+            for place in group.start + places[:1]:
+                self._filter.apply(Inflate(place, place, sd**2), _ignore)
         self._filter.set_imu_noise()
 
     def _change_places(self, main: Filter, tell: Listening) -> None:
         """Let the run go on as the second filter, and that as the run."""
         self._filter.apply(Fold(), _ignore)
+        self._lane = 1 - self._lane
         given, before = copied(self._filter.memory), copied(main.memory)
         main.become(given, tell)
         self._filter.restore(before)

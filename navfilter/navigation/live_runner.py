@@ -82,7 +82,8 @@ class ImuFastPath:
     def take(self, samples: Array) -> bool:
         """Whether these are an ordinary sample (1, 7), and have been taken; else nothing has been done."""
         nav, history = self._nav, self._history
-        if len(samples) != 1 or nav.filter.memory.monitor.silent or nav.alternative.is_alive:  # the first behind some that were missing ends that
+        # the first behind some that were missing ends that
+        if len(samples) != 1 or nav.filter.memory.monitor.silent or nav.alternative.is_alive:
             self._as_of = -1
             return False
         if fresh := nav.change_count != self._as_of:

@@ -69,6 +69,8 @@ class Navigator(NavigatorStatus):
 
     monitor : FaultMonitor, optional
         Judges readings and samples in place of the usual one; made for this run.
+    alternative : bool
+        Go on beside it without the inertial unit while that is in doubt, see `navfilter.navigation.alternative`.
 
     Notes
     -----
@@ -99,6 +101,7 @@ class Navigator(NavigatorStatus):
         *,
         threads: bool = True,
         monitor: FaultMonitor | None = None,
+        alternative: bool = True,
     ) -> None:
         needs("Navigator: vehicle", vehicle, Vehicle, hint="It is Navigator(vehicle, start).")
         needs("Navigator: start", start, Start, hint="Where it begins: nf.Start(...), or nf.align(vehicle, mission).")
@@ -117,7 +120,7 @@ class Navigator(NavigatorStatus):
             raise ValueError("this monitor is asked reading by reading, and cannot go back: give history_s=0.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
-        self.alternative = Alternative(vehicle)
+        self.alternative = Alternative(vehicle, alternative)
         self.early_rerun = EarlyRerun(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
@@ -311,7 +314,7 @@ class Navigator(NavigatorStatus):
         """Show learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
         if isinstance(event, UnitDoubted):
-            self.alternative.begin(self.filter, event.since_s)
+            self.alternative.begin(self.filter, *event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
             self.alternative.adopt(change)

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import settings
-from navfilter.faults.imu import contradiction, gyro_scale
 from navfilter.filter.actions import Action, AxisCondition, Count, Fold, Inflate, Reweigh
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.monitor import FilterState
@@ -78,7 +77,6 @@ class ImuMonitor:
         """What it remembers before the first sample."""
         w = np.zeros((kernel.UNIT + 1, kernel.COLUMNS))
         w[:6, kernel.REPEATS], w[:6, kernel.QUANTUM] = 1.0, np.inf
-        w[:6, kernel.UNTIL_S] = -np.inf
         if not self._feels:
             w[:6, [kernel.CODE, kernel.HEEDED]] = kernel.SATURATED
         return w if self.active else w[:0]
@@ -187,10 +185,6 @@ class ImuMonitor:
                 yield Inflate(slice(9), slice(9), np.outer(done, done))
         if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
             unit[kernel.TICK] = 0.0
-            gyro_scale.check_readmission(filter)
-            for first in (0, 3):
-                if memory.time_s > w[first, kernel.UNTIL_S]:
-                    yield from contradiction.take_back(w[first : first + 3], first, filter)
             self.refer(w, memory.nav, memory.P)
         if not calm:
             yield Reweigh()  # last: from the same memory it comes out the same, whenever it is recalled

@@ -157,7 +157,7 @@ class _Lane:
 
     def __init__(self, name: str, vehicle: Vehicle, mission: Mission, start: Start, tape: Tape) -> None:
         self.name = name
-        self.nav = Navigator(vehicle, start, tape)
+        self.nav = Navigator(vehicle, start, tape, alternative=False)
         silent = not len(mission.streams["imu"])
         self._times, values = (np.empty(0), np.empty((0, 6))) if silent else drive_samples(vehicle, mission)
         self._readings = readings_of(vehicle, mission, start.time_s)
