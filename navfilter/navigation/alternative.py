@@ -67,6 +67,8 @@ class Alternative:
 
     Parameters
     ----------
+    main : Filter
+        That of the run.
     vehicle : Vehicle
     wanted : bool
         Without, there is never one.
@@ -77,8 +79,8 @@ class Alternative:
         Whether there is one at present.
     """
 
-    def __init__(self, vehicle: Vehicle, wanted: bool = True) -> None:
-        self._vehicle, self._made, self.is_alive = vehicle, False, False
+    def __init__(self, main: Filter, vehicle: Vehicle, wanted: bool = True) -> None:
+        self._main, self._vehicle, self._made, self.is_alive = main, vehicle, False, False
         self._filter: Filter
         self._choice: LaneChoice
         self._lane, self._refused_s = WITH_UNIT, math.nan
@@ -102,21 +104,21 @@ class Alternative:
             self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
             self._lane, self._refused_s = memory.lane, memory.refused_s
 
-    def prepare(self, main: Filter, models: tuple[tuple[str, Errors], ...] = ()) -> None:
+    def prepare(self, models: tuple[tuple[str, Errors], ...] = ()) -> None:
         """Make the second filter, where there is none yet, with these models in force at its start."""
         if not self._made:
-            self._made, self._filter = True, Filter(self._vehicle, main.start, FaultMonitor(self._vehicle))
+            self._made, self._filter = True, Filter(self._vehicle, self._main.start, FaultMonitor(self._vehicle))
         if models:
             self._filter.begin(dict(models))
         sensors = {name: sensor for name, sensor in self._vehicle.sensors.items() if not sensor.lead_s}
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
-        self._choice = LaneChoice([True, False], sensors, main.time_s, force_sd)
+        self._choice = LaneChoice([True, False], sensors, self._main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
-        self._lane, self._refused_s = WITH_UNIT, main.time_s
+        self._lane, self._refused_s = WITH_UNIT, self._main.time_s
 
-    def problem(self, main: Filter, memory: AlternativeMemory) -> str | None:
+    def problem(self, memory: AlternativeMemory) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
-        self.prepare(main, memory.filter.models)
+        self.prepare(memory.filter.models)
         self.is_alive, own = True, self._filter
         found = misfit(memory, self.memory, "memory.alternative") or memory.filter.problem(own.memory)
         found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
@@ -124,36 +126,34 @@ class Alternative:
             found = "memory.alternative.lane is none"
         return found
 
-    def begin(self, main: Filter, since_s: float, told: bool = False) -> None:
+    def begin(self, since_s: float, told: bool = False) -> None:
         """A sensor has contradicted the run since a time [s]: go on without the unit beside it, if anything could.
 
         Parameters
         ----------
-        main : Filter
-            That of the run.
         since_s : float
         told : bool
             What that sensor reads tells already that it is the unit: by the next reading the run does without it.
         """
-        if not self._carries or main.memory.monitor.has_excluded:
+        if not self._carries or self._main.memory.monitor.has_excluded:
             return
         if not self.is_alive:
-            self.prepare(main)
-            right = [was_right(main, main.channels[name]) for name in self._choice.names]
+            self.prepare()
+            right = [was_right(self._main, self._main.channels[name]) for name in self._choice.names]
             self._choice.alone = np.array(right, dtype=np.float64)
-            self._take_state(main)
+            self._take_state()
             monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
             axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
-            axes[:, imu_checks.CODE], axes[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, main.time_s - since_s
+            axes[:, imu_checks.CODE], axes[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, self._main.time_s - since_s
             self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
             self.is_alive = True
         if told:
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = WITHOUT, 1.0
 
-    def _take_state(self, main: Filter) -> None:
+    def _take_state(self) -> None:
         """Stand where the run stands, with the errors of the unit as at the start and no reading refused."""
-        given = copied(main.memory)
-        memory = transplant(main, self._filter).memory
+        given = copied(self._main.memory)
+        memory = transplant(self._main, self._filter).memory
         memory.sample_s, memory.drv, memory.recent, memory.intake = (
             *(given.sample_s, given.drv, given.recent, given.intake),
         )
@@ -171,13 +171,11 @@ class Alternative:
         """Take samples that the run takes, too; the array is used as work space."""
         self._filter.propagate(samples, _ignore)
 
-    def correct(self, main: Filter, reading: Measurement, correction: Correction, tell: Listening) -> None:
+    def correct(self, reading: Measurement, correction: Correction, tell: Listening) -> None:
         """Take a reading that the run has just taken, and see which of the two is to go on.
 
         Parameters
         ----------
-        main : Filter
-            That of the run; it is changed where the other one goes on.
         reading : Measurement
         correction : Correction
             What became of it in the run.
@@ -190,7 +188,7 @@ class Alternative:
         own.handle_pending(_ignore)
         number, lane = self._numbers.get(reading.name), self._lane
         self._choice.decide_until(reading.time_s)
-        for filter, which, said in ((main, lane, correction), (own, 1 - lane, answer)):
+        for filter, which, said in ((self._main, lane, correction), (own, 1 - lane, answer)):
             if number is not None and said.outcome.dof:
                 note = filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
@@ -198,9 +196,9 @@ class Alternative:
                 lost = which == WITH_UNIT and filter.memory.monitor.has_excluded
                 self._choice.compare(which, number, reading.time_s, *foretold, lost)
         if self._choice.memory.lane != lane:
-            self._change_places(main, tell)
+            self._change_places(tell)
         elif lane == WITHOUT and WITH_UNIT in self._choice.due_restarts() and self._is_due():
-            self._take_state(main)
+            self._take_state()
             self._use_unit()
             self._choice.on_restart(WITH_UNIT)
         if correction.outcome.status == "rejected":
@@ -227,12 +225,12 @@ class Alternative:
                 self._filter.apply(Inflate(place, place, sd**2), _ignore)
         self._filter.set_imu_noise()
 
-    def _change_places(self, main: Filter, tell: Listening) -> None:
+    def _change_places(self, tell: Listening) -> None:
         """Let the run go on as the second filter, and that as the run."""
         self._filter.apply(Fold(), _ignore)
         self._lane = 1 - self._lane
-        given, before = copied(self._filter.memory), copied(main.memory)
-        main.become(given, tell)
+        given, before = copied(self._filter.memory), copied(self._main.memory)
+        self._main.become(given, tell)
         self._filter.restore(before)
 
 

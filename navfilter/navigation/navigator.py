@@ -120,7 +120,7 @@ class Navigator(NavigatorStatus):
             raise ValueError("this monitor is asked reading by reading, and cannot go back: give history_s=0.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
-        self.alternative = Alternative(vehicle, alternative)
+        self.alternative = Alternative(self.filter, vehicle, alternative)
         self.early_rerun = EarlyRerun(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
@@ -306,7 +306,7 @@ class Navigator(NavigatorStatus):
         self.on_event(correction := self.filter.correct(item, self.on_event))
         self.filter.handle_pending(self.on_event)
         if beside is not None:
-            beside.correct(self.filter, item, correction, self.on_event)
+            beside.correct(item, correction, self.on_event)
             self.change_count += 1
         return correction.outcome
 
@@ -314,7 +314,7 @@ class Navigator(NavigatorStatus):
         """Show learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
         if isinstance(event, UnitDoubted):
-            self.alternative.begin(self.filter, *event)
+            self.alternative.begin(*event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
             self.alternative.adopt(change)
@@ -492,7 +492,7 @@ class Navigator(NavigatorStatus):
             misfit(dataclasses.replace(memory, alternative=None), self.memory, "memory")
             or memory.filter.problem(own.memory)
             or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
-            or (None if beside is None else self.alternative.problem(own, beside))
+            or (None if beside is None else self.alternative.problem(beside))
         )
         if problem:
             raise ValueError(problem)
