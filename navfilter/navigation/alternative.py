@@ -226,12 +226,23 @@ class Alternative:
         self._filter.set_imu_noise()
 
     def _change_places(self, tell: Listening) -> None:
-        """Let the run go on as the second filter, and that as the run."""
-        self._filter.apply(Fold(), _ignore)
+        """Let the run go on as the second filter, and that as the run.
+
+        One that uses the unit again has found its biases on the way, and been led off meanwhile: the position is that
+        of the run.
+        """
+        main, own = self._main, self._filter
+        own.apply(Fold(), _ignore)
+        main.apply(Fold(), tell)
         self._lane = 1 - self._lane
-        given, before = copied(self._filter.memory), copied(self._main.memory)
-        self._main.become(given, tell)
-        self._filter.restore(before)
+        given, before = copied(own.memory), copied(main.memory)
+        if self._lane == WITH_UNIT:
+            for part in (slice(0, 3), slice(15, 17)):  # latitude, longitude, height; radii of curvature there
+                given.nav[part] = before.nav[part]
+            given.P[:3] = given.P[:, :3] = 0.0
+            given.P[:3, :3] = before.P[:3, :3]
+        main.become(given, tell)
+        own.restore(before)
 
 
 def _ignore(event: Event) -> None:
