@@ -1599,9 +1599,6 @@ def check_samples(samples, w, sd, limits, period_s, increments):
         _look_at_gravity(w, unit, dt)
         rest = np.concatenate([np.zeros(3), unit[5:8] * dt_or_1])
         samples[n, 1:] = np.where(w[:6, 0] > 1, rest, values)
-        down = -unit[5:8] / max(unit[8], 1.0)
-        turn = abs(down @ w[:3, 13])
-        unit[9:11] += down @ (np.array(values[:3]) / dt_or_1) * dt, turn * dt * (turn > 0.05)
         unit[5:8] += np.cross(unit[5:8], samples[n, 1:4] / dt_or_1 * dt)
         unit[0] += 1.0
         if unit[0] * period_s >= 1.0:
@@ -1616,7 +1613,9 @@ def _look_at_axis(a, unit, raw, x, sd, limit, dt, gap, period_s, per):
     same = raw == a[3] and seen > 0
     if seen > 0 and abs(raw - a[3]) > 1e-9 * abs(raw):
         a[6] = min(a[6], abs(raw - a[3]))
-    a[4], a[5], a[3] = a[4] + 1 if same else 1.0, a[5] + (same - a[5]) / 2000.0, raw
+    if not same or a[0] <= 1:
+        a[5] += (same - a[5]) / 2000.0
+    a[4], a[3] = a[4] + 1 if same else 1.0, raw
     level = max(a[10], white)
     if seen >= 2 and not gap:
         off = a[7] - 0.5 * (x + a[8])

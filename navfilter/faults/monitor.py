@@ -20,7 +20,7 @@ from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.foundation.state_values import copied
-from navfilter.kernels import batch
+from navfilter.kernels import batch, imu_checks
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.vehicle import Vehicle
 
@@ -172,6 +172,10 @@ class FaultMonitor:
     def check_samples(self, samples: Array, memory: MonitorMemory, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
         return self.imu_monitor.check_samples(samples, memory.imu, sd)
+
+    def last_values(self, memory: MonitorMemory) -> Array | None:
+        """Of the last sample of an inertial unit as it came, shape (6,), whatever stood in for it; else None."""
+        return memory.imu[: imu_checks.UNIT, imu_checks.RAW] if self.imu_monitor.active else None
 
     def replace_missing(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
         """Write values for samples that are missing."""

@@ -232,9 +232,16 @@ class Filter:
             Says after how many samples somebody wants to see them at the latest: they are then told as `SamplesUsed`.
         """
         if len(samples):
-            still = lambda: self.vehicle.drive.at_rest(self.state, self.memory.drv)  # noqa: E731
-            for part, stamps in self.intake.check(samples, self.memory.drv, still):
+            for part, stamps in self.intake.check(samples, self._last_values):
                 self._propagate(part, stamps, tell, room)
+
+    def _last_values(self) -> Array:
+        """Of the last sample as it came; before the first those of a vehicle that keeps still."""
+        drv, drive = self.memory.drv, self.vehicle.drive
+        if not drv[strapdown.STARTED]:
+            return drive.at_rest(self.state, drv)
+        heard = self.monitor.last_values(self.memory.monitor)
+        return drv[strapdown.PREVIOUS_RPY :][: len(self.intake.limits)] if heard is None else heard
 
     def propagate_to(self, name: str, time_s: float, tell: Listening) -> None:
         """Carry the state to a reading that comes ahead of the drive, where that is silent; `tell` as in

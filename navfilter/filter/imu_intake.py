@@ -126,7 +126,6 @@ class ImuIntake:
         self._most_bad = round(self.BAD_S * drive.rate_hz) if drive.inertial else self.REPEATED
         self._longest_s = self.LONGEST_S * max(1.0, self._period_s)  # what speaks seldom may be silent for long
         self._confirm = max(5, round(0.25 * drive.rate_hz))
-        self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
         # the first sample may come at the start itself
         self.memory = ImuIntakeMemory(math.nextafter(start_s, -math.inf))
 
@@ -147,9 +146,9 @@ class ImuIntake:
         """
         return self.memory.back_count > 1
 
-    def check(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> list[tuple[Array, Array]]:
+    def check(self, samples: Array, last: Callable[[], Array]) -> list[tuple[Array, Array]]:
         """Steps in place of stamps (first column), and the stamps: one block, or several, each of samples or of rows
-        without values that stand in for some.
+        without values that stand in for some. `last` says the values before these.
         """
         memory = self.memory
         if memory.offset_s:
@@ -157,7 +156,7 @@ class ImuIntake:
         stamps = samples[:, 0].copy()
         gaps = strapdown.stamps_to_steps(samples, memory.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
-            return self._mend(samples, drv, at_rest)
+            return self._mend(samples, last)
         self.taken(gaps)
         return [(samples, stamps)]
 
@@ -228,7 +227,7 @@ class ImuIntake:
             parts.append(row[None, :])
         return np.ascontiguousarray(np.concatenate(parts))
 
-    def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> list[tuple[Array, Array]]:
+    def _mend(self, samples: Array, last: Callable[[], Array]) -> list[tuple[Array, Array]]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
         possible: NDArray[np.bool_] = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
         keep, absent = np.zeros((2, len(samples)), bool)
@@ -260,7 +259,7 @@ class ImuIntake:
             absent[i] = self.memory.bad > self._most_bad
         samples[absent, 1 : 1 + len(self._limits)] = np.nan
         samples, bad = np.ascontiguousarray(samples[keep]), ~possible[keep] & ~absent[keep]
-        self._repair(samples[:, 1 : 1 + len(self._limits)], bad, drv, at_rest)
+        self._repair(samples[:, 1 : 1 + len(self._limits)], bad, last)
         steps = np.diff(samples[:, 0], prepend=self.memory.before_s)
         self.counts["gap"] += int(np.count_nonzero(steps > self._gap_s))
         samples = self._filled(samples)
@@ -299,12 +298,11 @@ class ImuIntake:
         # what was dropped until here took its time: it counts as a gap
         return before + self.memory.back_count * self._period_s - stamp
 
-    def _repair(self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[], Array]) -> None:
+    def _repair(self, values: Array, bad: NDArray[np.bool_], last: Callable[[], Array]) -> None:
         """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle
         that keeps still.
         """
         if not bad.any():
             return
         good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(values))))
-        last = drv[self._previous : self._previous + len(self._limits)] if drv[strapdown.STARTED] else at_rest()
-        values[bad] = np.where(good[bad, None] >= 0, values[good[bad]], last)
+        values[bad] = np.where(good[bad, None] >= 0, values[good[bad]], last())

@@ -160,6 +160,9 @@ class Monitor(Protocol):
     def check_samples(self, samples: Array, memory: Any, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them."""
 
+    def last_values(self, memory: Any) -> Array | None:
+        """Of the last sample of an inertial unit as it came, shape (6,), whatever stood in for it; else None."""
+
     def replace_missing(self, filter: FilterState, samples: Array, said_s: float) -> Iterator[Action]:
         """Write values for samples that are missing."""
 

@@ -187,7 +187,7 @@ class Alternative:
         answer = own.correct(reading, _ignore)
         own.handle_pending(_ignore)
         number, lane = self._numbers.get(reading.name), self._lane
-        self._choice.decide_until(reading.time_s)
+        self._choice.decide_until(self._main.time_s)
         for filter, which, said in ((self._main, lane, correction), (own, 1 - lane, answer)):
             if number is not None and said.outcome.dof:
                 note = filter.channels[reading.name].note
@@ -202,8 +202,8 @@ class Alternative:
             self._use_unit()
             self._choice.on_restart(WITH_UNIT)
         if correction.outcome.status == "rejected":
-            self._refused_s = reading.time_s
-        if self._lane == WITH_UNIT and reading.time_s - self._refused_s > settings.WINDOW_S:
+            self._refused_s = self._main.time_s
+        if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
             self.is_alive = False
 
     def _is_due(self) -> bool:
