@@ -27,7 +27,7 @@ filter.channel filter.sensor_channel, filter.chi_square foundation.chi_square, f
 filter.course faults.heading_fault, filter.described filter.channel_model, filter.drive_clock faults.clocks.imu_clock,
 filter.drive_watch faults.imu.monitor, filter.gating faults.innovation_gate, filter.health faults.sensor_monitor,
 filter.heights faults.depth_fault, filter.history navigation.history, filter.intake filter.imu_intake,
-filter.integrity faults.protection_level, filter.iron faults.heading_fault, filter.jumps faults.imu.contradiction,
+filter.integrity faults.protection_level, filter.iron faults.heading_fault, filter.jumps navigation.alternative,
 filter.lane_choice faults.lane_selection, filter.layout filter.state_layout, filter.memory foundation.state_values,
 filter.offsets models.fault_bias, filter.over_ground faults.ground_velocity, filter.ramp faults.velocity_evidence,
 filter.realignment faults.imu.realignment, filter.reckoned faults.dead_reckoning_compass, filter.refusals
@@ -35,7 +35,7 @@ faults.sensor_bias, filter.refused faults.policy, filter.refused_way faults.alte
 faults.noise_scale, filter.sensor_clock faults.clocks.sensor_clock, filter.shifts faults.fault_bank, filter.sight
 filter.delayed_measurement, filter.slack faults.sensor_bias, filter.smoother filter.rts_smoother, filter.snapshot
 navigation.snapshot, filter.spool filter.record_store, filter.tape filter.records, filter.transplant
-navigation.lanes.state_transfer, filter.turns faults.imu.gyro_scale, filter.waiting navigation.waiting, handed_over
+navigation.lanes.state_transfer, filter.turns navigation.alternative, filter.waiting navigation.waiting, handed_over
 foundation.arguments, identification.bands identification.cosine_spectrum, identification.lines
 identification.spectral_lines, identification.reading models.interpretation, identification.sheet_page
 identification.noise_sheet_page, identification.sheet_words identification.noise_sheet_text, identification.stillness

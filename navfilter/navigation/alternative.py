@@ -84,9 +84,8 @@ class Alternative:
         self._filter: Filter
         self._choice: LaneChoice
         self._lane, self._refused_s = WITH_UNIT, math.nan
-        told = [sensor.observes for sensor in vehicle.sensors.values()]
-        self._carries = wanted and vehicle.drive.inertial and any(observes.north is not None for observes in told)
-        self._carries = self._carries and any(observes.corrects in ("velocity", "position") for observes in told)
+        told = {sensor.observes.corrects for sensor in vehicle.sensors.values()}
+        self._carries = wanted and vehicle.drive.inertial and not told.isdisjoint({"velocity", "position"})
 
     @property
     def memory(self) -> AlternativeMemory | None:
