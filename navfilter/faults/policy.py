@@ -131,12 +131,15 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
 
 
 def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A velocity that the unit leaves behind on a ramp: the unit is wrong."""
-    if not (channel.moves and velocity_evidence.accuses_unit(filter, channel, reading.time_s)):
+    """A velocity that the unit leaves behind on a ramp: its tilt is wrong, or the unit is."""
+    force = velocity_evidence.force_felt_wrongly(filter, channel, reading.time_s) if channel.moves else None
+    if force is None:
         return None
     if channel.offset:
         channel.faults.aside = None
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+    yield Inflate(range(6, 8), range(6, 8), (force / STANDARD_GRAVITY) ** 2)
+    filter.monitor.is_tilted = True
     yield Announce(UnitDoubted(channel.faults.rejected_since_s - channel.period_s, told=True))
     return False
 

@@ -138,8 +138,8 @@ def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
     return places, E[np.ix_(known, known)], off[:, ~known] @ E[np.ix_(~known, ~known)] @ off[:, ~known].T
 
 
-def accuses_unit(filter: FilterState, channel: Channel, time_s: float) -> bool:
-    """Whether refused velocities are explained by a force that the unit feels wrongly, and by nothing else.
+def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> float | None:
+    """Size of a force that the unit feels wrongly, which explains refused velocities, and nothing else does [m/s^2].
 
     Parameters
     ----------
@@ -158,10 +158,10 @@ def accuses_unit(filter: FilterState, channel: Channel, time_s: float) -> bool:
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
         kept.evidence = None
-        return True
+        return size
     if time_s - kept.rejected_since_s >= settings.REFUSED_S and not (right and kept.undisputed):
         kept.disputed_s = time_s
-    return False
+    return None
 
 
 def force(channel: Channel, described: bool) -> float | None:

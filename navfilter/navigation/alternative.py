@@ -86,6 +86,7 @@ class Alternative:
         self._lane, self._refused_s = WITH_UNIT, math.nan
         told = {sensor.observes.corrects for sensor in vehicle.sensors.values()}
         self._carries = wanted and vehicle.drive.inertial and not told.isdisjoint({"velocity", "position"})
+        self._heads = any(sensor.observes.north is not None for sensor in vehicle.sensors.values())
 
     @property
     def memory(self) -> AlternativeMemory | None:
@@ -146,7 +147,7 @@ class Alternative:
             axes[:, imu_checks.CODE], axes[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, self._main.time_s - since_s
             self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
             self.is_alive = True
-        if told:
+        if told and self._heads:  # else it may as well be the tilt, and nothing keeps the heading
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = WITHOUT, 1.0
 
     def _take_state(self) -> None:
