@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.kernels.arma_likelihood import COST, GAIN
 from navfilter.learning.initial_values import Growth, padded, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
 from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
@@ -107,7 +108,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, 0, 0, 0, 0)
+        self._memory = LearnerMemory({}, {}, {}, {}, (1.0, 0.0, 0), {})
 
     @property
     def memory(self) -> LearnerMemory:
@@ -150,11 +151,54 @@ class Learner:
         return mixed(*learnt_from(*found), found.likelihood, self.described)
 
     def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
-        """What a hop finds in the series, see there."""
+        """What a hop finds in the series, see there: what the recursion has found, where it tells readings better than
+        what was handed out; what the series says by itself where it has left what was possible by that, and while
+        readings double what was known.
+        """
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
-        y = np.where(np.abs(y) <= WILDEST, y, np.nan)[-self.window :]
+        y = np.where(np.abs(y) <= WILDEST, y, np.nan)
+        fresh = y.size if fresh is None else fresh
+        memory = self._memory
+        if memory.followed and not fresh:
+            return None
+        y = y[-max(self.window, fresh) :]
+        if not memory.followed or np.isfinite(y[-self.window :]).sum() >= 2 * memory.scale[2] or fresh > y.size:
+            return self._fitted(y[-self.window :])
+        goes_on = Likelihood(y[y.size - fresh :], self.drift, self.white, self.prior, scale=memory.scale)
+        # what was heard may have been found wanting since
+        heard_last = np.flatnonzero(np.isfinite(y[: y.size - fresh]))
+        gap = y.size - fresh - 1 - int(heard_last[-1]) if heard_last.size else y.size - fresh
+        keep = math.exp(-2.0 / self.window)
+        followed = {kind: goes_on.gone_on(one, kind[0], kind[2], keep, gap) for kind, one in memory.followed.items()}
+        self._memory = memory = replace(memory, followed=followed)
+        gain = sum(memory.chosen[kind] * one.told[GAIN] for kind, one in followed.items())
+        if not all(one.distance < one.theta.size + EFFORT.hopeless for one in followed.values()) or math.isnan(gain):
+            return self._fitted(y[-self.window :])
+        return self._moved(y[-self.window :]) if gain > EFFORT.hopeless else None
+
+    def _moved(self, y: Array) -> AxisFit | None:
+        """What the recursion has found, in a series: it is handed out."""
+        memory, log_unit = self._memory, math.log(self._memory.scale[0])
+        cost = np.array([one.told[COST] for one in memory.followed.values()])
+        weights = np.exp(cost.min() - cost) * list(memory.chosen.values())
+        chosen = dict(zip(memory.followed, (weights / weights.sum()).tolist(), strict=True))
+        thetas = {kind: _in_unit(one.theta, kind, -log_unit) for kind, one in memory.followed.items()}
+        followed = {kind: one.handed_out() for kind, one in memory.followed.items()}
+        self._memory = replace(memory, thetas=memory.thetas | thetas, chosen=chosen, followed=followed)
+        likelihood = Likelihood(y, self.drift, self.white, self.prior)
+        found = tuple(
+            self._found(likelihood, kind, likelihood.point(self._known(likelihood, kind), kind[0], kind[2]), weight)
+            for kind, weight in chosen.items()
+        )
+        if not all(_is_usable(one.point) for one in found):
+            return self._fitted(y)
+        self._memory = replace(self._memory, lines=_lines(chosen, found))
+        return AxisFit(likelihood, found, int(np.isfinite(y).sum()))
+
+    def _fitted(self, y: Array) -> AxisFit | None:
+        """What is found in a series by itself."""
         n = int(np.isfinite(y).sum())
         able = [
             (p, q, slow)
@@ -173,25 +217,13 @@ class Learner:
         scatter = float(np.mean(np.diff(likelihood.y[known]) ** 2 / np.diff(known)))
         if scatter < likelihood.chain[1, 0, 0]:
             return None
-        fresh = y.size if fresh is None else fresh
-        heard = fresh + self._memory.heard
-        if self._is_fitted(able, heard):
-            found = tuple(
-                self._found(likelihood, kind, likelihood.point(self._known(likelihood, kind), kind[0], kind[2]), weight)
-                for kind, weight in self._memory.chosen.items()
-            )
-            if all(_is_usable(one.point) for one in found):
-                self._memory = replace(self._memory, heard=heard, lines=_lines(self._memory.chosen, found))
-                return AxisFit(likelihood, found, n)
-        # as much has been heard since larger orders were begun from smaller ones as before
-        again = heard >= 2 * self._memory.grown
-        fits, scores, unlikely = self._fits(likelihood, able, n, again)
+        fits, scores, unlikely = self._fits(likelihood, able, n)
         if not fits:
             return None
         self._smooth(likelihood, fits, scores, n)
         chosen = self._weighed(scores)
-        found = tuple(self._found(likelihood, kind, fits[kind], weight, new=True) for kind, weight in chosen.items())
-        self._keep(likelihood, fits, scores, unlikely, chosen, found, heard, again)
+        found = tuple(self._found(likelihood, kind, fits[kind], weight) for kind, weight in chosen.items())
+        self._keep(likelihood, fits, scores, unlikely, chosen, found)
         return AxisFit(likelihood, found, n)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
@@ -205,26 +237,18 @@ class Learner:
             return {best[int(np.argmax(weights))]: 1.0}
         return dict(zip(best, weights, strict=True))
 
-    def _found(self, likelihood: Likelihood, kind: Kind, point: Point, weight: float, new: bool = False) -> Found:
-        """With the posterior of the slow part, beside a `new` fast one or the same as before."""
+    def _found(self, likelihood: Likelihood, kind: Kind, point: Point, weight: float) -> Found:
+        """With the posterior of the slow part."""
         if self.prior is None or not _is_usable(point):
             return Found(point, None, weight)
         lines = self._memory.lines
         known = lines.get(kind) or next(iter(lines.values()), None)
-        return Found(point, slow_posterior(likelihood, point, known, not new), weight)
-
-    def _is_fitted(self, able: list[Kind], heard: int) -> bool:
-        """Whether the fast part stays as it is, for some of what it was fitted to is in the window still."""
-        memory = self._memory
-        known = memory.heard >= self.window // 2 and all(kind in memory.scores for kind in able)
-        return known and heard < memory.fitted + self.window
+        return Found(point, slow_posterior(likelihood, point, known), weight)
 
     def _known(self, likelihood: Likelihood, kind: Kind) -> Array:
         """An earlier estimate, in the unit of a likelihood."""
-        p, q, slow = kind
-        theta = self._memory.thetas[kind].copy()
-        theta[p + q : p + q + 1 + bool(slow)] += likelihood.log_unit
-        confined: Array = likelihood.confine([theta], p, slow)[0]
+        theta = _in_unit(self._memory.thetas[kind], kind, likelihood.log_unit)
+        confined: Array = likelihood.confine([theta], kind[0], kind[2])[0]
         return confined
 
     def _score(self, likelihood: Likelihood, point: Point, n: int) -> tuple[float, float]:
@@ -237,16 +261,16 @@ class Learner:
         return point.value + 0.5 * float(volume) - share, share
 
     def _fits(
-        self, likelihood: Likelihood, able: list[Kind], n: int, again: bool
+        self, likelihood: Likelihood, able: list[Kind], n: int
     ) -> tuple[dict[Kind, Point], dict[Kind, float], dict[Kind, float]]:
-        """The orders whose turn it is, without a slow part and beside one of first order, and their scores. Each begins
-        from its last estimate, and where `again` is set from smaller ones, too: what was found of few readings may be
-        near a lower maximum, which no step leaves. Last come scores of those that cannot become good enough by what
+        """Orders without a slow part and beside one of first order, and their scores. Each begins from its last
+        estimate, and from smaller ones: what was found of few readings may be near a lower maximum, which no step
+        leaves. Last come scores of those that cannot become good enough by what
         smaller ones leave, which are not fitted.
         """
         memory, fits, scores, unlikely = self._memory, dict[Kind, Point](), dict[Kind, float](), dict[Kind, float]()
         best, shares, growth = math.inf, [0.0, 0.0], Growth(likelihood)
-        for p, q, slow in self._ration(able):
+        for p, q, slow in able:
             kind = p, q, slow
             # what it costs to be larger, and a slow part, comes off what an order may be worth
             price = 0.5 * math.log(2.0 * n / BEFOREHAND)
@@ -254,7 +278,7 @@ class Learner:
             enough = best + EFFORT.hopeless - cost
             known = kind in memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
-            if (again or not known) and p + q:
+            if p + q:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
                 below = below or {(0, 0): white_point(likelihood, slow)}
                 was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
@@ -266,7 +290,7 @@ class Learner:
                     unlikely[kind] = lowest + cost
                     continue
                 starts += grown or padded(below, p, q)
-            if slow and (again or not known) and (p, q, 0) in fits:
+            if slow and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
             if starts:
                 passes = EFFORT.late_passes if known else EFFORT.first_passes
@@ -279,19 +303,6 @@ class Learner:
                 best = min(best, scores[kind])
         return fits, scores, unlikely
 
-    def _ration(self, able: list[Kind]) -> list[Kind]:
-        """What to fit: all while the window fills, then the two best, the best without quick colour and the best with
-        one, and one of the others in turn.
-        """
-        memory = self._memory
-        if memory.heard < self.window // 2 or any(kind not in memory.scores for kind in able):
-            return able
-        ranked = sorted(able, key=lambda kind: (memory.scores[kind], sum(kind)))
-        chosen = {*ranked[:2], *_best_of_each({kind: memory.scores[kind] for kind in ranked})}
-        others = sorted(set(able) - chosen)
-        turn = [others[memory.turn % len(others)]] if others else []
-        return sorted([*chosen, *turn], key=lambda kind: (sum(kind[:2]), kind))
-
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], scores: dict[Kind, float], n: int) -> None:
         """An order beside a slow part of second order, put to the others."""
         memory = self._memory
@@ -299,16 +310,16 @@ class Learner:
         if not first or (memory.lines and all(order < 2 for of in memory.lines.values() for order, _ in of)):
             return
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
-        young, second = memory.heard < self.window // 2, [kind for kind in memory.thetas if kind[2] == 2]
+        second = [kind for kind in memory.thetas if kind[2] == 2]
         best = min(first, key=lambda kind: scores[kind])
         starts = [
             (kind[:2], with_slow_parts(likelihood, [likelihood.fast(fits[kind].theta, 1)], kind[0], 2)[0])
-            for kind in ({best, min(first)} if young or not second else {min(first)})
+            for kind in {best, min(first)}
         ]
         starts += [(kind[:2], self._known(likelihood, kind)) for kind in second]
         values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
         (p, q), start = starts[int(np.argmin(values))]
-        point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
+        point = maximise(likelihood, [start], p, EFFORT.smooth_passes, 2)
         if _is_usable(point):
             fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point, n)
 
@@ -320,19 +331,23 @@ class Learner:
         unlikely: dict[Kind, float],
         chosen: dict[Kind, float],
         found: tuple[Found, ...],
-        heard: int,
-        again: bool,
     ) -> None:
         memory, lowest = self._memory, min(scores.values())
         # of the smooth ones the one that was tried last
         thetas = {kind: theta for kind, theta in memory.thetas.items() if kind[2] < 2}
         for (p, q, slow), point in fits.items():
-            thetas[p, q, slow] = theta = point.theta.copy()
-            theta[p + q : p + q + 1 + bool(slow)] -= likelihood.log_unit
+            thetas[p, q, slow] = _in_unit(point.theta, (p, q, slow), -likelihood.log_unit)
         gaps = {**memory.scores, **{kind: score - lowest for kind, score in (unlikely | scores).items()}}
-        lines = _lines(chosen, found)
-        grown = heard if again else memory.grown
-        self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
+        followed = {kind: likelihood.followed(fits[kind].theta, kind[0], kind[2]) for kind in chosen}
+        self._memory = LearnerMemory(thetas, gaps, chosen, followed, likelihood.scale, _lines(chosen, found))
+
+
+def _in_unit(theta: Array, kind: Kind, log_unit: float) -> Array:
+    """Parameters in a unit so many times as small, as a logarithm."""
+    p, q, slow = kind
+    moved = theta.copy()
+    moved[p + q : p + q + 1 + bool(slow)] += log_unit
+    return moved
 
 
 def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.learning.likelihood import Followed
 from navfilter.learning.slow_posterior import Line
 
 Array = NDArray[np.float64]
@@ -30,24 +31,20 @@ class LearnerMemory:
         Log of how much less probable than the best, when fitted last.
     chosen : dict of (p, q, order of the slow part) to float
         The most probable, and how probable: at most two.
+    followed : dict of the same to Followed
+        What the recursion makes of them.
+    scale : (float, float, int)
+        Unit and level of the series that it goes on from, and how many samples the last look knew.
     lines : dict of the same to dict of (order, number of tau) to Line
         Of the posteriors of their slow parts, see `SlowPosterior`: those that are possible.
-    turn : int
-        Turns of the orders that are not among the best.
-    heard : int
-        Samples so far.
-    grown, fitted : int
-        As `heard`, when the larger orders were last begun from smaller ones, and when orders were fitted last.
     """
 
     thetas: dict[Kind, Array]
     scores: dict[Kind, float]
     chosen: dict[Kind, float]
+    followed: dict[Kind, Followed]
+    scale: tuple[float, float, int]
     lines: dict[Kind, dict[tuple[int, int], Line]]
-    turn: int
-    heard: int
-    grown: int
-    fitted: int
 
 
 class Remembers(Protocol):
