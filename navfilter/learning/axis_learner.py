@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_posterior import Line, Place, log_share, slow_posterior
+from navfilter.learning.slow_posterior import log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
@@ -108,7 +108,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, (1.0, 0.0, 0), {})
+        self._memory = LearnerMemory({}, {}, {}, {}, (1.0, 0.0, 0))
 
     @property
     def memory(self) -> LearnerMemory:
@@ -173,29 +173,36 @@ class Learner:
         keep = math.exp(-2.0 / self.window)
         followed = {kind: goes_on.gone_on(one, kind[0], kind[2], keep, gap) for kind, one in memory.followed.items()}
         self._memory = memory = replace(memory, followed=followed)
-        gain = sum(memory.chosen[kind] * one.told[GAIN] for kind, one in followed.items())
-        if not all(one.distance < one.theta.size + EFFORT.hopeless for one in followed.values()) or math.isnan(gain):
+        scores = {kind: float(one.told[COST]) - math.log(memory.chosen[kind]) for kind, one in followed.items()}
+        # what the hypotheses have told, weighed by what they told before, against how they stand at their weights
+        stand = sum(memory.chosen[kind] * (one.told[COST] + one.told[GAIN]) for kind, one in followed.items())
+        gain = float(stand + np.logaddexp.reduce([-score for score in scores.values()]))
+        if math.isnan(gain) or any(one.distance > one.theta.size + EFFORT.hopeless for one in followed.values()):
             return self._fitted(y[-self.window :])
-        return self._moved(y[-self.window :]) if gain > EFFORT.hopeless else None
+        return self._moved(y[-self.window :], scores) if gain > EFFORT.hopeless else None
 
-    def _moved(self, y: Array) -> AxisFit | None:
-        """What the recursion has found, in a series: it is handed out."""
-        memory, log_unit = self._memory, math.log(self._memory.scale[0])
-        cost = np.array([one.told[COST] for one in memory.followed.values()])
-        weights = np.exp(cost.min() - cost) * list(memory.chosen.values())
-        chosen = dict(zip(memory.followed, (weights / weights.sum()).tolist(), strict=True))
-        thetas = {kind: _in_unit(one.theta, kind, -log_unit) for kind, one in memory.followed.items()}
-        followed = {kind: one.handed_out() for kind, one in memory.followed.items()}
+    def _moved(self, y: Array, scores: dict[Kind, float]) -> AxisFit | None:
+        """What the recursion has found is handed out, with what the last readings say of its slow part."""
+        memory, likelihood, chosen = (
+            self._memory,
+            Likelihood(y, self.drift, self.white, self.prior),
+            self._weighed(scores),
+        )
+        followed = {kind: memory.followed[kind].handed_out() for kind in chosen}
+        thetas = {kind: _in_unit(one.theta, kind, -math.log(memory.scale[0])) for kind, one in followed.items()}
         self._memory = replace(memory, thetas=memory.thetas | thetas, chosen=chosen, followed=followed)
-        likelihood = Likelihood(y, self.drift, self.white, self.prior)
+        points = {kind: likelihood.point(self._known(likelihood, kind), kind[0], kind[2]) for kind in chosen}
+        if not all(map(_is_usable, points.values())):
+            return self._fitted(y)
+        return self._handed_out(likelihood, points, chosen)
+
+    def _handed_out(self, likelihood: Likelihood, points: dict[Kind, Point], chosen: dict[Kind, float]) -> AxisFit:
+        """With the posterior of the slow part beside each."""
         found = tuple(
-            self._found(likelihood, kind, likelihood.point(self._known(likelihood, kind), kind[0], kind[2]), weight)
+            Found(points[kind], slow_posterior(likelihood, points[kind]) if self.prior is not None else None, weight)
             for kind, weight in chosen.items()
         )
-        if not all(_is_usable(one.point) for one in found):
-            return self._fitted(y)
-        self._memory = replace(self._memory, lines=_lines(chosen, found))
-        return AxisFit(likelihood, found, int(np.isfinite(y).sum()))
+        return AxisFit(likelihood, found, int(np.isfinite(likelihood.y).sum()))
 
     def _fitted(self, y: Array) -> AxisFit | None:
         """What is found in a series by itself."""
@@ -222,9 +229,8 @@ class Learner:
             return None
         self._smooth(likelihood, fits, scores, n)
         chosen = self._weighed(scores)
-        found = tuple(self._found(likelihood, kind, fits[kind], weight) for kind, weight in chosen.items())
-        self._keep(likelihood, fits, scores, unlikely, chosen, found)
-        return AxisFit(likelihood, found, n)
+        self._keep(likelihood, fits, scores, unlikely, chosen)
+        return self._handed_out(likelihood, fits, chosen)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
         """The most probable kind without quick colour, then the most probable other, and how probable; one alone where
@@ -236,14 +242,6 @@ class Learner:
         if min(weights) < LEAST_WEIGHT:
             return {best[int(np.argmax(weights))]: 1.0}
         return dict(zip(best, weights, strict=True))
-
-    def _found(self, likelihood: Likelihood, kind: Kind, point: Point, weight: float) -> Found:
-        """With the posterior of the slow part."""
-        if self.prior is None or not _is_usable(point):
-            return Found(point, None, weight)
-        lines = self._memory.lines
-        known = lines.get(kind) or next(iter(lines.values()), None)
-        return Found(point, slow_posterior(likelihood, point, known), weight)
 
     def _known(self, likelihood: Likelihood, kind: Kind) -> Array:
         """An earlier estimate, in the unit of a likelihood."""
@@ -305,9 +303,8 @@ class Learner:
 
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], scores: dict[Kind, float], n: int) -> None:
         """An order beside a slow part of second order, put to the others."""
-        memory = self._memory
-        first = [kind for kind in fits if kind[2]]
-        if not first or (memory.lines and all(order < 2 for of in memory.lines.values() for order, _ in of)):
+        first, memory = [kind for kind in fits if kind[2]], self._memory
+        if not first:
             return
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
         second = [kind for kind in memory.thetas if kind[2] == 2]
@@ -330,7 +327,6 @@ class Learner:
         scores: dict[Kind, float],
         unlikely: dict[Kind, float],
         chosen: dict[Kind, float],
-        found: tuple[Found, ...],
     ) -> None:
         memory, lowest = self._memory, min(scores.values())
         # of the smooth ones the one that was tried last
@@ -339,7 +335,7 @@ class Learner:
             thetas[p, q, slow] = _in_unit(point.theta, (p, q, slow), -likelihood.log_unit)
         gaps = {**memory.scores, **{kind: score - lowest for kind, score in (unlikely | scores).items()}}
         followed = {kind: likelihood.followed(fits[kind].theta, kind[0], kind[2]) for kind in chosen}
-        self._memory = LearnerMemory(thetas, gaps, chosen, followed, likelihood.scale, _lines(chosen, found))
+        self._memory = LearnerMemory(thetas, gaps, chosen, followed, likelihood.scale)
 
 
 def _in_unit(theta: Array, kind: Kind, log_unit: float) -> Array:
@@ -354,12 +350,6 @@ def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:
     """The most probable kind without quick colour, and the most probable with one; of those that there are."""
     kinds = ([kind for kind in scores if any(kind[:2]) == coloured] for coloured in (False, True))
     return [min(some, key=lambda kind: scores[kind]) for some in kinds if some]
-
-
-def _lines(chosen: Iterable[Kind], found: Sequence[Found]) -> dict[Kind, dict[Place, Line]]:
-    """What is remembered of posteriors."""
-    both = zip(chosen, found, strict=True)
-    return {kind: one.posterior.lines for kind, one in both if one.posterior is not None}
 
 
 def _is_usable(point: Point) -> bool:
