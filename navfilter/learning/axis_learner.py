@@ -17,7 +17,7 @@ from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_posterior import log_share, slow_posterior
+from navfilter.learning.slow_posterior import SlowPosterior, log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
@@ -108,7 +108,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, (1.0, 0.0, 0))
+        self._memory = LearnerMemory({}, {}, {}, {}, (1.0, 0.0, 0), {})
 
     @property
     def memory(self) -> LearnerMemory:
@@ -198,10 +198,12 @@ class Learner:
 
     def _handed_out(self, likelihood: Likelihood, points: dict[Kind, Point], chosen: dict[Kind, float]) -> AxisFit:
         """With the posterior of the slow part beside each."""
-        found = tuple(
-            Found(points[kind], slow_posterior(likelihood, points[kind]) if self.prior is not None else None, weight)
-            for kind, weight in chosen.items()
-        )
+        lines, posteriors = self._memory.lines, dict[Kind, SlowPosterior]()
+        for kind in chosen if self.prior is not None else ():
+            known = lines.get(kind) or next(iter(lines.values()), None)
+            posteriors[kind] = slow_posterior(likelihood, points[kind], known)
+        self._memory = replace(self._memory, lines={kind: one.lines for kind, one in posteriors.items()})
+        found = tuple(Found(points[kind], posteriors.get(kind), weight) for kind, weight in chosen.items())
         return AxisFit(likelihood, found, int(np.isfinite(likelihood.y).sum()))
 
     def _fitted(self, y: Array) -> AxisFit | None:
@@ -304,7 +306,7 @@ class Learner:
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], scores: dict[Kind, float], n: int) -> None:
         """An order beside a slow part of second order, put to the others."""
         first, memory = [kind for kind in fits if kind[2]], self._memory
-        if not first:
+        if not first or (memory.lines and all(order < 2 for of in memory.lines.values() for order, _ in of)):
             return
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
         second = [kind for kind in memory.thetas if kind[2] == 2]
@@ -335,7 +337,7 @@ class Learner:
             thetas[p, q, slow] = _in_unit(point.theta, (p, q, slow), -likelihood.log_unit)
         gaps = {**memory.scores, **{kind: score - lowest for kind, score in (unlikely | scores).items()}}
         followed = {kind: likelihood.followed(fits[kind].theta, kind[0], kind[2]) for kind in chosen}
-        self._memory = LearnerMemory(thetas, gaps, chosen, followed, likelihood.scale)
+        self._memory = LearnerMemory(thetas, gaps, chosen, followed, likelihood.scale, memory.lines)
 
 
 def _in_unit(theta: Array, kind: Kind, log_unit: float) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.learning.likelihood import Followed
+from navfilter.learning.slow_posterior import Line
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
@@ -34,6 +35,8 @@ class LearnerMemory:
         What the recursion makes of them.
     scale : (float, float, int)
         Unit and level of the series that it goes on from, and how many samples the last look knew.
+    lines : dict of the same to dict of (order, number of tau) to Line
+        Of the posteriors of their slow parts, see `SlowPosterior`: those that are possible.
     """
 
     thetas: dict[Kind, Array]
@@ -41,6 +44,7 @@ class LearnerMemory:
     chosen: dict[Kind, float]
     followed: dict[Kind, Followed]
     scale: tuple[float, float, int]
+    lines: dict[Kind, dict[tuple[int, int], Line]]
 
 
 class Remembers(Protocol):

@@ -31,6 +31,9 @@ SPACING = 1.5
 #: Places around the peak: from 3 standard deviations below to 4.5 or 6 above. The mean of sd^2 sits two above the peak
 #: where a line is as wide as the prior.
 AROUND, WIDE = (-2, -1, 0, 1, 2, 3), (-2, -1, 0, 1, 2, 3, 4)
+#: A line stays where it is while its places hold the posterior: the log-density falls by at most the one from the peak
+#: to its neighbours, and by at least the other to both ends.
+STEEPEST, SHALLOWEST = 3.0, 3.0
 #: A line wider than this in ln sd is wide.
 WIDTH = 0.4
 #: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
@@ -68,12 +71,15 @@ class SlowPosterior:
 
     Attributes
     ----------
+    lines : dict of (order, number of tau) to Line
+        Those that are possible.
     order, tau_s, log_sd, weight : ndarray, shape (n,)
         Nodes, their weights with the sum one.
     moments : ndarray, shape (m, 4)
         On a finer grid of tau: order, tau [s], weight, mean of sd^2.
     """
 
+    lines: dict[Place, Line]
     order: Array
     tau_s: Array
     log_sd: Array
@@ -95,7 +101,7 @@ def log_share(likelihood: Likelihood, point: Point) -> float:
     return math.log((1.0 - prior.absent) * 2.0 * math.pi * volume / math.log(2.0)) - prior.log_mass
 
 
-def slow_posterior(likelihood: Likelihood, point: Point) -> SlowPosterior:
+def slow_posterior(likelihood: Likelihood, point: Point, known: Mapping[Place, Line] | None = None) -> SlowPosterior:
     """The posterior of the slow part, given the fast one.
 
     Parameters
@@ -104,6 +110,8 @@ def slow_posterior(likelihood: Likelihood, point: Point) -> SlowPosterior:
         With a prior.
     point : Point
         With the fast part, and a slow one near which to look.
+    known : dict of (order, number of tau) to Line, optional
+        Those that were possible at an earlier hop: where to look instead.
     """
     prior = likelihood.prior
     assert prior is not None
@@ -115,13 +123,17 @@ def slow_posterior(likelihood: Likelihood, point: Point) -> SlowPosterior:
     guesses = [(here + 0.5 * (log_tau - at), float(sd)) for log_tau in log_taus]
     lines, best = dict[Place, Line](), _Best()
     for order in (1, 2):
-        searches: dict[Place, tuple[float, Search]] = {
-            (order, number): (log_tau, _Look(prior, order, log_tau, best).line(*guesses[number]))
-            for number, log_tau in enumerate(log_taus)
-        }
+        searches: dict[Place, tuple[float, Search]] = {}
+        for number, log_tau in enumerate(log_taus):
+            place, look = (order, number), _Look(prior, order, log_tau, best)
+            if known and place in known:
+                searches[place] = log_tau, look.again(known[place])
+            else:
+                searches[place] = log_tau, look.line(*guesses[number])
         if order == 1:
             # none at all: one too small to matter
-            searches[ABSENT] = log_taus[-1], _Look(prior, 1, log_taus[-1], best).smallest()
+            look = _Look(prior, 1, log_taus[-1], best)
+            searches[ABSENT] = look.log_tau, look.smallest()
         lines |= _together(likelihood, fast, point.p, order, searches)
         # the peak of second order is near that of first
         guesses = [(lines[order, number].peak, lines[order, number].sd) for number in range(len(log_taus))]
@@ -157,6 +169,11 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     level /= level.sum()
     means = np.add.reduceat(shares * np.exp(2.0 * log_sd), begins[:-1])[there]
     return SlowPosterior(
+        {
+            place: line
+            for (place, line), top in zip(lines.items(), tops.tolist(), strict=True)
+            if top > highest - IMPOSSIBLE
+        },
         order=np.repeat(np.maximum(order, 1.0), sizes),
         tau_s=np.repeat(prior.taus_s[number], sizes),
         log_sd=log_sd,
@@ -292,3 +309,16 @@ class _Look:
         places = [peak + k * SPACING * width for k in (WIDE if width > WIDTH else AROUND)]
         evidence = yield from self.along(places)
         return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
+
+    def again(self, line: Line) -> Search:
+        """The line at the places of another one; looked for from the highest where these do not do."""
+        places = line.log_sd.tolist()
+        evidence = yield from self.along(places)
+        log = [one + self.log_prior(place) for one, place in zip(evidence, places, strict=True)]
+        highest = max(log)
+        top, self.best.value = log.index(highest), max(self.best.value, highest)
+        # the sum over places stands for the integral while the curve bends by less than this from one to the next
+        near = 0 < top < len(log) - 1 and highest - min(log[top - 1], log[top + 1]) < STEEPEST
+        if near and highest - max(log[0], log[-1]) > SHALLOWEST:
+            return line._replace(evidence=np.maximum(evidence, -1e300))
+        return (yield from self.line(places[top], line.sd))
