@@ -108,7 +108,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, (1.0, 0.0, 0), {})
+        self._memory = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
 
     @property
     def memory(self) -> LearnerMemory:
@@ -226,12 +226,12 @@ class Learner:
         scatter = float(np.mean(np.diff(likelihood.y[known]) ** 2 / np.diff(known)))
         if scatter < likelihood.chain[1, 0, 0]:
             return None
-        fits, scores, unlikely = self._fits(likelihood, able, n)
+        fits, scores = self._fits(likelihood, able, n)
         if not fits:
             return None
         self._smooth(likelihood, fits, scores, n)
         chosen = self._weighed(scores)
-        self._keep(likelihood, fits, scores, unlikely, chosen)
+        self._keep(likelihood, fits, chosen)
         return self._handed_out(likelihood, fits, chosen)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
@@ -260,48 +260,37 @@ class Learner:
         _, volume = np.linalg.slogdet((n * np.eye(k) + point.info[:k, :k]) / BEFOREHAND)
         return point.value + 0.5 * float(volume) - share, share
 
-    def _fits(
-        self, likelihood: Likelihood, able: list[Kind], n: int
-    ) -> tuple[dict[Kind, Point], dict[Kind, float], dict[Kind, float]]:
+    def _fits(self, likelihood: Likelihood, able: list[Kind], n: int) -> tuple[dict[Kind, Point], dict[Kind, float]]:
         """Orders without a slow part and beside one of first order, and their scores. Each begins from its last
         estimate, and from smaller ones: what was found of few readings may be near a lower maximum, which no step
-        leaves. Last come scores of those that cannot become good enough by what
-        smaller ones leave, which are not fitted.
+        leaves. Those that cannot become good enough by what smaller ones leave are not fitted.
         """
-        memory, fits, scores, unlikely = self._memory, dict[Kind, Point](), dict[Kind, float](), dict[Kind, float]()
+        fits, scores = dict[Kind, Point](), dict[Kind, float]()
         best, shares, growth = math.inf, [0.0, 0.0], Growth(likelihood)
-        for p, q, slow in able:
-            kind = p, q, slow
-            # what it costs to be larger, and a slow part, comes off what an order may be worth
-            price = 0.5 * math.log(2.0 * n / BEFOREHAND)
-            cost = price * (p + q + 1) - shares[slow]
-            enough = best + EFFORT.hopeless - cost
-            known = kind in memory.thetas
+        # what it costs to be larger, and a slow part, comes off what an order may be worth
+        price = 0.5 * math.log(2.0 * n / BEFOREHAND)
+        for kind in able:
+            p, q, slow = kind
+            enough = best + EFFORT.hopeless - price * (p + q + 1) + shares[slow]
+            known = kind in self._memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
             if p + q:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
                 below = below or {(0, 0): white_point(likelihood, slow)}
-                was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
-                at_least = price, math.inf if was_close else enough
-                grown, lowest = growth.starts(below, p, q, *at_least)
+                grown = growth.starts(below, p, q, price, enough)
                 # one that is as good without a slow part may stand where that stands for a quick colour
-                alone = scores.get((p, q, 1 - slow), math.inf) <= best + EFFORT.hopeless
-                if not grown and not alone:
-                    unlikely[kind] = lowest + cost
+                if not grown and scores.get((p, q, 1 - slow), math.inf) > best + EFFORT.hopeless:
                     continue
                 starts += grown or padded(below, p, q)
             if slow and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
-            if starts:
-                passes = EFFORT.late_passes if known else EFFORT.first_passes
-                point = maximise(likelihood, starts, p, passes, slow, enough)
-            else:
-                point = white_point(likelihood, slow)
+            passes = EFFORT.late_passes if known else EFFORT.first_passes
+            point = maximise(likelihood, starts, p, passes, slow, enough) if starts else white_point(likelihood, slow)
             if _is_usable(point):
                 fits[kind] = point
                 scores[kind], shares[slow] = self._score(likelihood, point, n)
                 best = min(best, scores[kind])
-        return fits, scores, unlikely
+        return fits, scores
 
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], scores: dict[Kind, float], n: int) -> None:
         """An order beside a slow part of second order, put to the others."""
@@ -322,22 +311,13 @@ class Learner:
         if _is_usable(point):
             fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point, n)
 
-    def _keep(
-        self,
-        likelihood: Likelihood,
-        fits: dict[Kind, Point],
-        scores: dict[Kind, float],
-        unlikely: dict[Kind, float],
-        chosen: dict[Kind, float],
-    ) -> None:
-        memory, lowest = self._memory, min(scores.values())
+    def _keep(self, likelihood: Likelihood, fits: dict[Kind, Point], chosen: dict[Kind, float]) -> None:
+        memory = self._memory
         # of the smooth ones the one that was tried last
         thetas = {kind: theta for kind, theta in memory.thetas.items() if kind[2] < 2}
-        for (p, q, slow), point in fits.items():
-            thetas[p, q, slow] = _in_unit(point.theta, (p, q, slow), -likelihood.log_unit)
-        gaps = {**memory.scores, **{kind: score - lowest for kind, score in (unlikely | scores).items()}}
+        thetas |= {kind: _in_unit(point.theta, kind, -likelihood.log_unit) for kind, point in fits.items()}
         followed = {kind: likelihood.followed(fits[kind].theta, kind[0], kind[2]) for kind in chosen}
-        self._memory = LearnerMemory(thetas, gaps, chosen, followed, likelihood.scale, memory.lines)
+        self._memory = LearnerMemory(thetas, chosen, followed, likelihood.scale, memory.lines)
 
 
 def _in_unit(theta: Array, kind: Kind, log_unit: float) -> Array:

@@ -27,8 +27,6 @@ class LearnerMemory:
     thetas : dict of (p, q, order of the slow part) to ndarray
         Estimates of all that has been fitted, in the unit of the series; see `Likelihood`. With a slow part of second
         order that of the order that it was tried with last.
-    scores : dict of (p, q, order of the slow part) to float
-        Log of how much less probable than the best, when fitted last.
     chosen : dict of (p, q, order of the slow part) to float
         The most probable, and how probable: at most two.
     followed : dict of the same to Followed
@@ -40,7 +38,6 @@ class LearnerMemory:
     """
 
     thetas: dict[Kind, Array]
-    scores: dict[Kind, float]
     chosen: dict[Kind, float]
     followed: dict[Kind, Followed]
     scale: tuple[float, float, int]
