@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,19 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.kernels.arma_likelihood import COST, GAIN
 from navfilter.learning.initial_values import Growth, padded, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
-from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
-from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.likelihood import Followed, Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_posterior import SlowPosterior, log_share, slow_posterior
+from navfilter.learning.slow_posterior import Line, SlowPosterior, log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 
-__all__ = ["LearnerMemory"]
-
 Array = NDArray[np.float64]
+Order = tuple[int, int]
+#: AR and MA order of a fast part, and order of the slow part beside it, 0 without one.
+Kind = tuple[int, int, int]
 #: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).
 LEAST_WEIGHT = 0.1
 #: What information on a coefficient is worth nothing [1]
@@ -33,16 +33,35 @@ LEAST_WEIGHT = 0.1
 BEFOREHAND = math.pi
 
 
-class AxisFit(NamedTuple):
-    """What a learner has found in one series.
+@dataclass(frozen=True)
+class LearnerMemory:
+    """What a learner knows between hops; nothing in it is changed.
 
     Attributes
     ----------
-    likelihood : Likelihood
-    found : tuple of Found
-        The hypothesis that there is no quick colour, before the likeliest other; or one of them alone.
-    n : int
-        Samples that count.
+    thetas : dict of (p, q, order of the slow part) to ndarray
+        Estimates of all that has been fitted, in the unit of the series; see `Likelihood`. With a slow part of second
+        order that of the order that it was tried with last.
+    chosen : dict of (p, q, order of the slow part) to float
+        The most probable, and how probable: at most two.
+    followed : dict of the same to Followed
+        What the recursion makes of them.
+    scale : (float, float, int)
+        Unit and level of the series that it goes on from, and how many samples the last look knew.
+    lines : dict of the same to dict of (order, number of tau) to Line
+        Of the posteriors of their slow parts, see `SlowPosterior`: those that are possible.
+    """
+
+    thetas: dict[Kind, Array]
+    chosen: dict[Kind, float]
+    followed: dict[Kind, Followed]
+    scale: tuple[float, float, int]
+    lines: dict[Kind, dict[tuple[int, int], Line]]
+
+
+class AxisFit(NamedTuple):
+    """What a learner has found in one series with n samples: the hypothesis that there is no quick colour, before the
+    likeliest other; or one of them alone.
     """
 
     likelihood: Likelihood
@@ -51,13 +70,18 @@ class AxisFit(NamedTuple):
 
 
 class Learner:
-    """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
+    """Follows the error of one channel; what it hands out is an immutable, stable model.
 
-    The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
-    without; orders are weighed by their evidence. Beside the likeliest ones the slow part has a
-    posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
-    covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window
-    says; of earlier ones only the estimates are known, from which it begins.
+    The error is a slow part beside a fast ARMA part. A look fits the fast part for each order, with a slow part and
+    without; orders are weighed by their evidence. Beside the likeliest ones the slow part has a posterior. One model is
+    handed out, with the mean spectrum of a white and a coloured fast part and the mean covariance of all slow ones.
+    What the data cannot tell is thereby carried as variance. A look tells what its window says; of earlier ones only
+    the estimates are known, from which it begins. From then on every reading moves the likeliest ones by recursive
+    prediction-error steps (Ljung 1979), which forget by half a window.
+
+    At a hop a model is handed out where they have told readings better than the last one by as much as makes a
+    difference, and a look comes where they are further from what the last one found than two windows are by chance, by
+    as much; or where the window holds twice the readings that it did.
 
     Parameters
     ----------
@@ -126,24 +150,18 @@ class Learner:
         self._memory = memory
 
     def hop(self, series: ArrayLike, fresh: int | None = None) -> LearnedModel | None:
-        """Learn from the last `window` samples (fewer at first).
+        """Learn from a series, oldest first, in which NaN is a missing tick; of a look the last `window` count.
 
         Parameters
         ----------
         series : array_like, shape (N,)
-            Oldest first; NaN is a missing tick.
         fresh : int, optional
             How many of them came since the last hop; default: all are looked at as if for the first time.
 
         Returns
         -------
         Learnt or None
-            In the unit of the series; None where it holds too little, or never changes.
-
-        Raises
-        ------
-        ValueError
-            For a series that is not one-dimensional.
+            In the unit of the series; None where it holds too little or nothing new, or never changes.
         """
         found = self.look(series, fresh)
         if found is None:
@@ -151,35 +169,35 @@ class Learner:
         return mixed(*learnt_from(*found), found.likelihood, self.described)
 
     def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
-        """What a hop finds in the series, see there: what the recursion has found, where it tells readings better than
-        what was handed out; what the series says by itself where it has left what was possible by that, and while
-        readings double what was known.
-        """
+        """What a hop finds in the series, see there."""
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
         y = np.where(np.abs(y) <= WILDEST, y, np.nan)
-        fresh = y.size if fresh is None else fresh
-        memory = self._memory
+        fresh, memory, window = y.size if fresh is None else fresh, self._memory, y[-self.window :]
         if memory.followed and not fresh:
             return None
-        y = y[-max(self.window, fresh) :]
-        if not memory.followed or np.isfinite(y[-self.window :]).sum() >= 2 * memory.scale[2] or fresh > y.size:
-            return self._fitted(y[-self.window :])
-        goes_on = Likelihood(y[y.size - fresh :], self.drift, self.white, self.prior, scale=memory.scale)
-        # what was heard may have been found wanting since
-        heard_last = np.flatnonzero(np.isfinite(y[: y.size - fresh]))
-        gap = y.size - fresh - 1 - int(heard_last[-1]) if heard_last.size else y.size - fresh
-        keep = math.exp(-2.0 / self.window)
-        followed = {kind: goes_on.gone_on(one, kind[0], kind[2], keep, gap) for kind, one in memory.followed.items()}
-        self._memory = memory = replace(memory, followed=followed)
+        followed = self._followed(y, fresh)
+        self._memory = replace(memory, followed=followed)
+        if not followed or np.isfinite(window).sum() >= 2 * memory.scale[2]:
+            return self._fitted(window)
         scores = {kind: float(one.told[COST]) - math.log(memory.chosen[kind]) for kind, one in followed.items()}
         # what the hypotheses have told, weighed by what they told before, against how they stand at their weights
         stand = sum(memory.chosen[kind] * (one.told[COST] + one.told[GAIN]) for kind, one in followed.items())
         gain = float(stand + np.logaddexp.reduce([-score for score in scores.values()]))
         if math.isnan(gain) or any(one.distance > one.theta.size + EFFORT.hopeless for one in followed.values()):
-            return self._fitted(y[-self.window :])
-        return self._moved(y[-self.window :], scores) if gain > EFFORT.hopeless else None
+            return self._fitted(window)
+        return self._moved(window, scores) if gain > EFFORT.hopeless else None
+
+    def _followed(self, y: Array, fresh: int) -> dict[Kind, Followed]:
+        """What the `fresh` ones at the end of a series make of the models that are followed."""
+        memory, before, new = self._memory, y[: y.size - fresh], y[max(y.size - fresh, 0) :]
+        if not memory.followed or fresh > y.size:
+            return {}
+        goes_on = Likelihood(new, self.drift, self.white, self.prior, scale=memory.scale)
+        # what was heard may have been found wanting since
+        gap, keep = int(np.argmax(np.isfinite(np.append(0.0, before))[::-1])), math.exp(-2.0 / self.window)
+        return {kind: goes_on.gone_on(one, kind[0], kind[2], keep, gap) for kind, one in memory.followed.items()}
 
     def _moved(self, y: Array, scores: dict[Kind, float]) -> AxisFit | None:
         """What the recursion has found is handed out, with what the last readings say of its slow part."""

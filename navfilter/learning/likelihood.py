@@ -299,22 +299,8 @@ def maximise(
     slow: int = 0,
     enough: float = math.inf,
 ) -> Point:
-    """Fisher scoring: a short race between the starts, then the leader alone.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    starts : sequence of ndarray
-        Parameter vectors.
-    p : int
-        Number of AR coefficients.
-    passes : int
-        Most scoring passes of the leader.
-    slow : int
-        Order of the slow part, 0 without one.
-    enough : float
-        A point that should stay above this value, though it gained `EFFORT.optimism` times what its slope says, is not
-        improved.
+    """Fisher scoring from some parameter vectors: a short race between them, then at most `passes` of the leader alone.
+    What should stay above `enough`, though it gained `EFFORT.optimism` times what its slope says, is not improved.
     """
     leaders = [likelihood.point(theta, p, slow) for theta in likelihood.confine(starts, p, slow)]
     if len(leaders) > 1:

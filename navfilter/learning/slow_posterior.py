@@ -102,16 +102,8 @@ def log_share(likelihood: Likelihood, point: Point) -> float:
 
 
 def slow_posterior(likelihood: Likelihood, point: Point, known: Mapping[Place, Line] | None = None) -> SlowPosterior:
-    """The posterior of the slow part, given the fast one.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        With a prior.
-    point : Point
-        With the fast part, and a slow one near which to look.
-    known : dict of (order, number of tau) to Line, optional
-        Those that were possible at an earlier hop: where to look instead.
+    """The posterior of the slow part, given the fast one of a point, near the slow one of it or, where lines of an
+    earlier look are `known`, near those.
     """
     prior = likelihood.prior
     assert prior is not None
