@@ -25,7 +25,7 @@ import numpy as np
 from numba import types
 from numba.core import cgutils
 
-from navfilter.kernels.arma_fit import confine
+from navfilter.kernels import arma_fit
 from navfilter.kernels.compiling.decorators import apart, njit
 from navfilter.kernels.compiling.registers import LANES
 from navfilter.kernels.compiling.registers import all_of as _all_of
@@ -855,7 +855,7 @@ def channel_recursion(
             shrunk = 1.0 / math.sqrt(max(2.0 * gains[0], 1.0))
             for i in range(k):
                 trial[0, i] = theta[i] + shrunk * (trial[0, i] - theta[i])
-            confine(trial, p, fast - 1 - p, limits)
+            arma_fit.confine(trial, p, fast - 1 - p, limits)
             for i in range(k):
                 theta[i] = trial[0, i]
 
