@@ -81,7 +81,7 @@ class Learner:
 
     At a hop a model is handed out where they have told readings better than the last one by as much as makes a
     difference, and a look comes where they are further from what the last one found than two windows are by chance, by
-    as much; or where the window holds twice the readings that it did.
+    as much; or where the window holds twice or half the readings that it did.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ class Learner:
         fresh, memory, window = y.size if fresh is None else fresh, self._memory, y[-self.window :]
         if memory.followed and not fresh:
             return None
-        followed = self._followed(y, fresh)
+        followed, known = self._followed(y, fresh), int(np.isfinite(window).sum())
         self._memory = replace(memory, followed=followed)
-        if not followed or np.isfinite(window).sum() >= 2 * memory.scale[2]:
+        if not followed or not memory.scale[2] < 2 * known < 4 * memory.scale[2]:
             return self._fitted(window)
         scores = {kind: float(one.told[COST]) - math.log(memory.chosen[kind]) for kind, one in followed.items()}
         # what the hypotheses have told, weighed by what they told before, against how they stand at their weights
