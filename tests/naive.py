@@ -1188,46 +1188,57 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
 
 
 def one_channel(y, theta, chain, sees, rules, first, e, variance):
-    r, m = len(sees), (len(theta) - 1) // 2
-    d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
-    a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
-    F, W, start = np.zeros((r + m, r + m)), np.zeros((r + m, r + m)), np.zeros((r + m, r + m))
-    F[:r, :r], F[r:, r:] = chain[0], np.eye(m, k=1)
-    F[r:, r : r + 1] -= a[:, None]
-    shared = np.r_[np.zeros(r), var * (c - a)]  # covariance of process and measurement noise
-    W[:r, :r], W[r:, r:] = chain[1], np.outer(shared, shared)[r:, r:] / var
-    h = np.r_[sees, np.eye(m)[:1].ravel()]
-    start[d:r, d:r] = chain[2][d:, d:]
-    unit = np.zeros((m, m))
-    if not stationary(a, c, unit):
-        return math.inf
-    start[r:, r:] = var * unit
-    total, gap, x, P, A, rows = 0.0, math.inf, None, None, None, []
-    for t in range(len(y)):
-        e[t], variance[t] = np.nan, 1.0
-        if np.isnan(y[t]):
-            gap += 1
-            if gap <= longest:
-                x, P, A = F @ x, F @ P @ F.T + W, F @ A
-            continue
-        if gap > longest:  # a new segment: some states diffuse (columns A), ARMA error stationary
-            x, P, A, rows = np.zeros(r + m), start, np.eye(r + m)[:, :d], []
-        gap = 0
-        v, S = y[t] - h @ x, h @ P @ h + var + white
-        K = (F @ P @ h + shared) / S
-        z = v / np.sqrt(S)
-        if len(rows) < d:
-            rows.append(np.r_[h @ A, v] / np.sqrt(S))
-            x, A, P = F @ x + K * v, F @ A - np.outer(K, h @ A), F @ P @ F.T + W - S * np.outer(K, K)
-            if len(rows) == d:
-                X = np.linalg.inv(np.array(rows)[:, :d])
-                x, P = x + A @ X @ np.array(rows)[:, d], P + A @ X @ X.T @ A.T
-            continue
-        e[t], variance[t] = z, S
-        if t >= first:
-            total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
-        x, P = F @ x + K * np.sqrt(S) * np.clip(z, -clip, clip), F @ P @ F.T + W - S * np.outer(K, K)
-    return total
+    return One().go(y, theta, chain, sees, rules, first, e, variance)
+
+
+class One:
+    """The filter of one model of a channel, which goes on from call to call."""
+
+    def __init__(self):
+        self.gap, self.x, self.P, self.A, self.rows = math.inf, None, None, None, []
+
+    def go(self, y, theta, chain, sees, rules, first, e, variance):
+        r, m = len(sees), (len(theta) - 1) // 2
+        d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
+        a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
+        F, W, start = np.zeros((r + m, r + m)), np.zeros((r + m, r + m)), np.zeros((r + m, r + m))
+        F[:r, :r], F[r:, r:] = chain[0], np.eye(m, k=1)
+        F[r:, r : r + 1] -= a[:, None]
+        shared = np.r_[np.zeros(r), var * (c - a)]  # covariance of process and measurement noise
+        W[:r, :r], W[r:, r:] = chain[1], np.outer(shared, shared)[r:, r:] / var
+        h = np.r_[sees, np.eye(m)[:1].ravel()]
+        start[d:r, d:r] = chain[2][d:, d:]
+        unit = np.zeros((m, m))
+        if not stationary(a, c, unit):
+            return math.inf
+        start[r:, r:] = var * unit
+        total, x, P, A, rows = 0.0, self.x, self.P, self.A, self.rows
+        for t in range(len(y)):
+            e[t], variance[t] = np.nan, 1.0
+            if np.isnan(y[t]):
+                self.gap += 1
+                if self.gap <= longest:
+                    x, P, A = F @ x, F @ P @ F.T + W, F @ A
+                continue
+            if self.gap > longest:  # a new segment: some states diffuse (columns A), ARMA error stationary
+                x, P, A, rows = np.zeros(r + m), start, np.eye(r + m)[:, :d], []
+            self.gap = 0
+            v, S = y[t] - h @ x, h @ P @ h + var + white
+            K = (F @ P @ h + shared) / S
+            z = v / np.sqrt(S)
+            if len(rows) < d:
+                rows.append(np.r_[h @ A, v] / np.sqrt(S))
+                x, A, P = F @ x + K * v, F @ A - np.outer(K, h @ A), F @ P @ F.T + W - S * np.outer(K, K)
+                if len(rows) == d:
+                    X = np.linalg.inv(np.array(rows)[:, :d])
+                    x, P = x + A @ X @ np.array(rows)[:, d], P + A @ X @ X.T @ A.T
+                continue
+            e[t], variance[t] = z, S
+            if t >= first:
+                total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
+            x, P = F @ x + K * np.sqrt(S) * np.clip(z, -clip, clip), F @ P @ F.T + W - S * np.outer(K, K)
+        self.x, self.P, self.A, self.rows = x, P, A, rows
+        return total
 
 
 def channel_scores(E, V, steps, clip, info, gradient):
@@ -1260,17 +1271,21 @@ def slow_part(slow, log_sd, log_tau, rate_s, chain):
     chain[own] = [expm(A), Q, solve_continuous_lyapunov(A, -density * np.outer(drive, drive))]
 
 
+def padded(row, p, slow, drift, belief):
+    """Parameters of the fast part and the chain of a model."""
+    r, fast = drift.shape[1], row[:-2] if slow else row
+    ar, ma = fast[:p], fast[p:-1]
+    m = max(len(ar), len(ma))
+    chain = np.zeros((3, r + slow, r + slow))
+    chain[:, :r, :r] = drift
+    if slow:
+        slow_part(slow, row[-2], row[-1], belief[0], chain)
+    return np.r_[ar, np.zeros(m - len(ar)), ma, np.zeros(m - len(ma)), fast[-1]], chain
+
+
 def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, values):
-    r = drift.shape[1]
     for k, row in enumerate(rows):
-        fast = row[:-2] if slow else row
-        ar, ma = fast[:p], fast[p:-1]
-        m = max(len(ar), len(ma))
-        theta = np.r_[ar, np.zeros(m - len(ar)), ma, np.zeros(m - len(ma)), fast[-1]]
-        chain = np.zeros((3, r + slow, r + slow))
-        chain[:, :r, :r] = drift
-        if slow:
-            slow_part(slow, row[-2], row[-1], belief[0], chain)
+        theta, chain = padded(row, p, slow, drift, belief)
         e, S = np.empty(len(y)), np.empty(len(y))
         values[k] = one_channel(y, theta, chain, sees, rules, first, e, S)
         if slow:
@@ -1280,14 +1295,19 @@ def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, va
             E[:, k], V[:, k] = e, S
 
 
-def channel_point(y, rows, p, slow, drift, sees, rules, belief, differences, E, V, values, info, gradient):
-    k = rows.shape[1]
-    steps = np.full(k, differences[0])
+def difference_steps(theta, p, slow, differences, steps):
+    steps[:] = differences[0]
     for i in range(p):
-        moved = ((size, np.roots([1.0, *rows[0, :p] + size * np.eye(k)[i, :p]])) for size in differences[:-1])
+        moved = ((size, np.roots([1.0, *theta[:p] + size * np.eye(len(theta))[i, :p]])) for size in differences[:-1])
         steps[i] = next(size for size, roots in moved if abs(roots).max() < 1.0)
     if slow:
         steps[-2:] = differences[-1]
+
+
+def channel_point(y, rows, p, slow, drift, sees, rules, belief, differences, E, V, values, info, gradient):
+    k = rows.shape[1]
+    steps = np.empty(k)
+    difference_steps(rows[0], p, slow, differences, steps)
     rows[1 : k + 1] = rows[0] + np.diag(steps)
     channel_values(y, rows, p, slow, drift, sees, rules, belief, 0, E, V, values)
     channel_scores(E, V, steps, rules[2], info, gradient)
@@ -1295,6 +1315,50 @@ def channel_point(y, rows, p, slow, drift, sees, rules, belief, differences, E, 
         spreads = np.array([belief[4], belief[6]])
         gradient[-2:] += (rows[0, -2:] - [belief[1] + belief[3], belief[5]]) / spreads**2
         info[-2:, -2:] += np.diag(1.0 / spreads**2)
+
+
+def channel_recursion(
+    y,
+    theta,
+    stands,
+    steps,
+    p,
+    slow,
+    drift,
+    sees,
+    rules,
+    belief,
+    limits,
+    known,
+    centre,
+    keep,
+    least,
+    state,
+    past,
+    info,
+    told,
+):
+    """Lanes of `One` filters, one after the other; `state` is a list of them, and knows what is missing itself."""
+    k = len(theta)
+    for begin in range(0, len(y), 32):
+        part = y[begin : begin + 32]
+        rows = np.vstack([theta, theta + np.diag(steps), stands])
+        E, V, values = *np.empty((2, len(part), k + 2)), np.empty(k + 2)
+        for lane, (row, one) in enumerate(zip(rows, state, strict=True)):
+            model = padded(row, p, slow, drift, belief)
+            values[lane] = one.go(part, *model, sees, rules, 0, E[:, lane], V[:, lane])
+        told[:] = told[0] + values[0], max(told[1] + values[-1] - values[0], -least)
+        own, gradient = np.empty((k, k)), np.empty(k)
+        channel_scores(E, V, steps, rules[2], own, gradient)
+        left = keep ** len(part) if keep > 0.0 else 1.0
+        info[:] = left * info + own
+        if keep > 0.0:
+            gradient += (1.0 - left) * known * (theta - centre)
+            whole = info + np.diag(known)
+            step = -np.linalg.solve(whole, gradient)
+            trial = (theta + step / max(np.sqrt(step @ whole @ step), 1.0))[None]
+            confine(trial, p, k - 1 - p - 2 * bool(slow), limits)
+            theta[:] = trial[0]
 
 
 def damped_steps(theta, gradient, info, dampings, sizes, converged, longest, moved, gains):

@@ -541,3 +541,31 @@ def test_a_known_start_tells_more_of_a_short_series():
 def test_a_start_that_does_not_fit_is_refused(start):
     with pytest.raises(ValueError, match="start_sd"):
         Drift((1.0, 1.0), 1.0, start)
+
+
+@pytest.mark.parametrize("slow", [0, 1, 2])
+@pytest.mark.parametrize(("p", "q"), [(0, 0), (1, 1), (3, 2)])
+@pytest.mark.parametrize("keep", [-1.0, 0.99])
+def test_a_recursion_is_its_twin(p, q, slow, keep):
+    """Two calls, the second of which goes on; a segment begins in each, and a step is too long at first."""
+    random = np.random.default_rng(14)
+    y, drift = walk_with_gaps(random, 300), drift_chain(Drift((0.3, 0.1), 1.0), 1.0)
+    y[45:56] = y[200:209] = np.nan
+    y[90] += 30.0
+    theta, stands = parameters(p, q, slow, 2, random)
+    k, r = theta.size, 2 + slow
+    sees, rules = np.eye(r)[0] + (np.arange(r) == 2), np.array([2, 8.0, 3.0, 0.04])
+    limits = np.array([0.05, 0.98, 0.9995, -14.0, 40.0, -3.0, 3.0, 1.0, 5.0])
+    steps, known, centre = np.full(k, 1e-4), np.full(k, 0.1), np.full(k, 0.2)
+    shape = kernels.state_shape(k, p, slow, drift, rules)
+    found = []
+    for of, state in ((kernels, np.zeros(shape)), (naive, [naive.One() for _ in range(k + 2)])):
+        changing = theta.copy(), np.array([9, 0]), np.zeros((k, k)), np.zeros(kernels.TOLD)
+        moved, past, info, told = changing
+        for part in (y[:130], y[130:]):
+            fixed = part, moved, stands, steps, p, slow, drift, sees, rules, BELIEF
+            of.channel_recursion(*fixed, limits, known, centre, keep, 3.0, state, past, info, told)
+        found.append((moved, info, told))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+    assert np.array_equal(found[0][0], theta) == (keep < 0.0)

@@ -12,7 +12,7 @@ from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.initial_values import Growth, white_point
-from navfilter.learning.likelihood import Likelihood, maximise
+from navfilter.learning.likelihood import Followed, Likelihood, maximise
 from navfilter.learning.moment_matching import slow_psd
 from navfilter.learning.open_loop_series import without_spikes
 from navfilter.learning.schedule import doubtful_ticks
@@ -46,9 +46,9 @@ def test_it_finds_the_order_and_is_stable():
     y = series([truth], TACTICAL, 3000, 16)
     learner = Learner(ORDERS, 2000, TACTICAL)
     assert learner.hop(y[:50]) is None  # too little
-    seen = 0
+    seen, learnt = 0, None
     for end in (150, 500, 1000, 1500, 2000, 2500, 3000):
-        learnt = learner.hop(y[:end], end - seen)
+        learnt = learner.hop(y[:end], end - seen) or learnt
         seen = end
         assert learnt.model.is_stable and learnt.model.is_invertible
         assert learnt.slow == ()  # without a prior there is none
@@ -92,7 +92,8 @@ def test_the_order_follows_a_change():
     later = add_arma([truth, ArmaModel([], [], 0.6)])
     y = np.r_[series([truth], TACTICAL, 1200, 22), series([later], TACTICAL, 2400, 23)]
     learner = Learner(((0, 0), (1, 0), (1, 1)), 1000, TACTICAL)
-    orders = [order_of(learner.hop(y[:end], 200)) for end in range(1000, 3601, 200)]
+    found = [learner.hop(y[:end], 1000 if end == 1000 else 200) for end in range(1000, 3601, 200)]
+    orders = [order_of(one) for one in found if one is not None]
     assert orders[0] == (1, 0) and orders[-1] == (1, 1)
 
 
@@ -135,19 +136,18 @@ def test_a_pole_more_gains_what_the_innovations_promise(ar, missing):
     y[random.random(4000) < missing] = np.nan
     likelihood = Likelihood(y, Drift((), PERIOD_S), 0.0)
     white, growth = white_point(likelihood), Growth(likelihood)
-    starts, lowest = growth.starts({(0, 0): white}, 1, 0)
+    starts = growth.starts({(0, 0): white}, 1, 0)
     gained = white.value - maximise(likelihood, starts, 1, 20).value
     promised = 0.5 * likelihood.n * growth.promised(white)[1, 0][0]
     # what is promised is that of a series without gaps, with as many readings
     assert 0.8 * gained < promised + 1.0 < 1.5 * gained + 2.0
-    assert lowest < white.value - gained
 
 
 def test_what_promises_nothing_is_not_begun():
     likelihood = Likelihood(np.random.default_rng(28).standard_normal(4000), Drift((), PERIOD_S), 0.0)
     white, growth = white_point(likelihood), Growth(likelihood)
-    assert growth.starts({(0, 0): white}, 2, 2, 4.0, white.value - 10.0)[0] == []
-    assert len(growth.starts({(0, 0): white}, 2, 2, 4.0)[0]) == 4
+    assert growth.starts({(0, 0): white}, 2, 2, 4.0, white.value - 10.0) == []
+    assert len(growth.starts({(0, 0): white}, 2, 2, 4.0)) == 4
 
 
 @pytest.mark.parametrize("ar", [-0.05, -0.6, 0.9])
@@ -165,13 +165,13 @@ def test_an_order_is_weighed_by_the_integral_over_its_coefficients(ar):
     assert found == pytest.approx(expected, abs=0.4)
 
 
-def test_white_noise_and_colour_are_both_weighed_at_every_hop(monkeypatch):
+def test_white_noise_and_colour_are_both_weighed_at_every_look(monkeypatch):
     """White noise was not fitted again where the two best orders were coloured, and came out by turns only."""
     seen, own = [], Learner._weighed
     monkeypatch.setattr(Learner, "_weighed", lambda self, scores: seen.append(scores) or own(self, scores))
     learner, y = Learner(ORDERS, 1000, TACTICAL), series([ArmaModel([-0.1], [], 1.0)], TACTICAL, 6000, 5)
     for end in range(1000, 6001, 1000):
-        learner.hop(y[:end], 1000)
+        learner.hop(y[:end] * end, 1000)  # the error grows from look to look
     assert len(seen) == 6
     assert all({any(kind[:2]) for kind in scores} == {False, True} for scores in seen)
 
@@ -186,24 +186,20 @@ def test_readings_that_scatter_less_than_the_drift_tell_nothing():
             assert (learner.hop(readings) is not None) == told
 
 
-def test_a_hop_tells_what_its_window_says(monkeypatch):
-    """The slow error has gone: after a window without it nothing is left; and of two hops in a window the second keeps
-    the fast part.
-    """
+def test_a_look_tells_what_its_window_says():
+    """The slow error has gone: after a window without it nothing is left."""
     part, n = gauss_markov(0.5, 20.0), 4000
     steady = series([part, ArmaModel([], [], 0.2)], TACTICAL, n, 26)
     silent = series([ArmaModel([], [], 0.2)], TACTICAL, n, 27)
-    fits, own = [], Learner._fits
-    monkeypatch.setattr(Learner, "_fits", lambda *given: fits.append(1) or own(*given))
     learner = Learner(((0, 0),), 2000, TACTICAL, prior=believing(0.5, span_s=250.0))
     variances = []
     for y in (steady, silent):
         for end in (2000, 3000, 4000):
             found = learner.hop(y[:end], 2000 if end == 2000 else 1000)
-            variances.append(sum(p.sd**2 for p in found.slow))
-    assert len(fits) == 4
-    assert all(0.1 < one < 0.6 for one in variances[:3])  # truth 0.25; the window holds it six times
-    assert variances[3] < 0.1 * min(variances[:3])
+            variances += [] if found is None else [sum(p.sd**2 for p in found.slow)]
+    # the first of the silent readings follow no step of the drift, but a jump of it
+    assert all(0.1 < one < 0.6 for one in variances[:-1])  # truth 0.25; the window holds it six times
+    assert len(variances) > 1 and variances[-1] < 0.1 * min(variances[:-1])
 
 
 @pytest.mark.parametrize("prior", [None, believing(0.6, span_s=125.0)])
@@ -218,9 +214,9 @@ def test_it_goes_on_from_a_snapshot_to_the_last_bit(prior):
         for end, new in list(zip(ends, fresh, strict=True))[:cut]:
             first.hop(y[:end], new)
         other = Learner(ORDERS, 1000, TACTICAL, prior=prior)
-        other.memory = from_arrays(to_arrays(first.memory), [LearnerMemory, Line])
+        other.memory = from_arrays(to_arrays(first.memory), [LearnerMemory, Line, Followed])
         assert [other.hop(y[:end], new) for end, new in list(zip(ends, fresh, strict=True))[cut:]] == learnt[cut:]
-    assert len(set(map(order_of, learnt))) >= 1 and learnt[0] != learnt[-1]
+    assert len([one for one in learnt if one is not None]) > 1
 
 
 def test_a_memory_of_other_orders_is_refused():

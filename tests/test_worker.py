@@ -79,7 +79,7 @@ def test_the_same_bits_at_any_speed(mission, alone, begin, monkeypatch):
     assert np.array_equal(rows, alone[0])
     assert differences(nav.memory.filter, alone[1].memory.filter) == []
     # hops, and the beginning done again by a twin, did take place
-    assert nav.counts["adopted"] >= 2 and arrived
+    assert nav.counts["adopted"] >= 1 and arrived
     learnt = nav.health.learning
     assert (learnt.late > 0) == (begin is slow) or begin is Worker.begin
     assert (learnt.waited_s > 0.0) == (learnt.late > 0)
@@ -192,6 +192,7 @@ def test_a_task_that_fails_says_so_when_it_is_asked():
 def test_what_adoptions_take_is_worked_out_beforehand(mission, alone, monkeypatch):
     """On the thread, behind the look that has found the models; where the beginning is done again, too."""
     vehicle, recorded, events = mission
+    vehicle = vehicle.with_error(dvl=nf.LearnedArma(orders=((0, 0), (1, 0))))
     monkeypatch.setattr(LearningSchedule, "ANOTHER", 1e9)
     found, work_out = [], filter_module.adoption
 

@@ -51,7 +51,7 @@ _HEAD = """\
 #       left out; 'navfilter identify' finds all three from a recording at rest
 #   {{model = "learned-arma", orders = [[1, 0], [1, 1], [2, 1]], window = 4000, hop = 1000, prior = {{model = "white", sd = 0.1}}}}
 #       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 103, default 4000),
-#       readings between two adoptions (default: half the window), and what is in force before the first and believed of slow
+#       readings between two adoptions (default: half the window) or more, what is in force before the first and believed of slow
 #       errors after it (default: what is usual for the sensor; white noise alone excludes slow errors while the readings are
 #       white), within what factors of sd and time where that is known better than of a data sheet (prior_within = [2, 3]). What
 #       has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov",

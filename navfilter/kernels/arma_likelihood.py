@@ -25,6 +25,7 @@ import numpy as np
 from numba import types
 from numba.core import cgutils
 
+from navfilter.kernels import arma_fit
 from navfilter.kernels.compiling.decorators import apart, njit
 from navfilter.kernels.compiling.registers import LANES
 from navfilter.kernels.compiling.registers import all_of as _all_of
@@ -52,6 +53,11 @@ TOGETHER = 8
 SMALL, LARGE = 1e-20, 1e20
 # Samples whose derivatives are summed at a time: they stay in the first cache.
 STRETCH = 64
+# Ticks between two steps of a recursion [1] (chosen: what a step costs is little beside the filters then).
+STEP = 32
+# What a recursion sums: minus the log-likelihood of what moves, and by how much it tells samples better than what
+# stands, not below minus as much as makes a difference.
+COST, GAIN, TOLD = range(3)
 # Of a chain and a fast part: how many integrators, states of a slow part beside them, and of the fast one. These are
 # the usual ones of a learner.
 SHAPES = [(d, s, m) for d in (2, 3) for s, most in ((1, 4), (2, 2)) for m in range(most + 1)]
@@ -300,9 +306,9 @@ _tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(
 
 @apart
 @njit(cache=True, nogil=True, error_model="numpy")
-def _set_up(thetas, chains, begin, rules, U, used, a, g, Q, start, noise, able):
+def _set_up(thetas, chains, begin, rules, starts, U, used, a, g, Q, start, noise, able):
     """The models from `begin` on in lanes; those behind the last repeat it, those without a stationary start are not
-    `able`.
+    `able`. Where none starts, what a start wants is not worked out.
     """
     last, r, m = len(thetas) - 1, chains.shape[2], a.shape[0]
     n, d = r + m, int(rules[DIFFUSE])
@@ -312,8 +318,8 @@ def _set_up(thetas, chains, begin, rules, U, used, a, g, Q, start, noise, able):
         same = lane > 0
         for i in range(2 * m):
             same = same and theta[i] == thetas[min(begin + lane - 1, last), i]
-        if same:
-            able[lane] = able[lane - 1]
+        if same or not starts:
+            able[lane] = not starts or able[lane - 1]
         else:
             able[lane] = stationary(theta[:m], theta[m : 2 * m], unit)
         var = math.exp(2.0 * theta[2 * m])
@@ -333,10 +339,10 @@ def _set_up(thetas, chains, begin, rules, U, used, a, g, Q, start, noise, able):
 
 @apart
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
-def _through(y, sees, rules, first, shape, group, E, V, model, state, sums):
+def _through(y, sees, rules, first, shape, group, E, V, model, state, past, sums):
     """The loop of `channel_filter`, where nothing is allocated: with references to arrays counted it takes a sixth
-    longer. Adds what samples say to `total`, and what is left of their variances is in `product`; returns how many
-    count.
+    longer. It goes on from `past`: how many samples are missing up to here, and how many the segment holds. Adds what
+    samples say to `total`, and what is left of their variances is in `product`; returns how many count.
     """
     U, used, a, g, Q, start, noise = model
     P, x, L, K, A, X, w, corner, noted, spare = state
@@ -345,7 +351,7 @@ def _through(y, sees, rules, first, shape, group, E, V, model, state, sums):
     n, d, longest, groups = r + m, int(rules[DIFFUSE]), int(rules[LONGEST_GAP]), E.shape[1] // LANES
     wanted = E.size > 0 and group < groups
     limit, half = _all_of(rules[CLIP]), _all_of(0.5)
-    missing, known, counted = longest + 1, 0, 0
+    missing, known, counted = past[0], past[1], 0
     for t in range(y.size):
         seen = not math.isnan(y[t])
         if seen:
@@ -401,6 +407,7 @@ def _through(y, sees, rules, first, shape, group, E, V, model, state, sums):
                     _collapse(X, w, A, x, P, n, d, spare)
         if seen:
             known += 1
+    past[0], past[1] = missing, known
     return counted
 
 
@@ -428,14 +435,15 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
     noise, total, product = np.zeros((1, LANES)), np.zeros((1, LANES)), np.ones((1, LANES))
     noted, spare = np.zeros((2, LANES)), (np.zeros((d, d)), np.zeros((n, d)))
     model, state = (U, used, a, g, Q, start, noise), (P, x, L, K, A, X, w, corner, noted, spare)
-    sums = total, product
+    sums, past = (total, product), np.empty(2, np.int64)
     for group in range((values.size + LANES - 1) // LANES):
         begin = group * LANES
         used[:] = False
-        _set_up(thetas, chains, begin, rules, U, used, a, g, Q, start, noise, able)
+        past[0], past[1] = int(rules[LONGEST_GAP]) + 1, 0
+        _set_up(thetas, chains, begin, rules, values.size > 0, U, used, a, g, Q, start, noise, able)
         _store(total, 0, _all_of(0.0))
         _store(product, 0, _all_of(1.0))
-        counted = _through(y, sees, rules, first, _shape(used, sees, m), group, E, V, model, state, sums)
+        counted = _through(y, sees, rules, first, _shape(used, sees, m), group, E, V, model, state, past, sums)
         for k in range(begin, min(begin + LANES, values.size)):
             value = total[0, k - begin] + 0.5 * math.log(product[0, k - begin]) + counted * HALF_LOG_2PI
             values[k] = value if able[k - begin] and value < math.inf else math.inf
@@ -593,6 +601,32 @@ def slow_part(slow, log_sd, log_tau, rate_s, chain):
     chain[START, j, j] = 2.0 * variance
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sizes(k, p, slow, drift):
+    """Of k parameters those of the fast part; of its state, and of the chain with the slow part."""
+    fast = k - (2 if slow > 0 else 0)
+    return fast, max(p, fast - 1 - p), drift.shape[1] + slow
+
+
+@apart
+@njit(cache=True, nogil=True, error_model="numpy")
+def _set_models(rows, p, slow, drift, belief, thetas, chains):
+    """What `channel_filter` wants to know of the models in `rows`, see `channel_values`; what is zero stays."""
+    fast, m, r = _sizes(rows.shape[1], p, slow, drift)
+    for n in range(len(rows)):
+        for i in range(p):
+            thetas[n, i] = rows[n, i]
+        for i in range(fast - 1 - p):
+            thetas[n, m + i] = rows[n, p + i]
+        thetas[n, 2 * m] = rows[n, fast - 1]
+        for part in range(3):
+            for i in range(r - slow):
+                for j in range(r - slow):
+                    chains[n, part, i, j] = drift[part, i, j]
+        if slow > 0:
+            slow_part(slow, rows[n, fast], rows[n, fast + 1], belief[RATE_S], chains[n])
+
+
 @apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, values):
@@ -602,22 +636,9 @@ def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, va
     rows (K, k): ``[ar (p), ma, ln sd]`` and, with a slow part of order 1 or 2, ``ln sd, ln tau`` of that. drift (3, r,
     r) is the chain beside it; belief (SLOW,) what is believed of it.
     """
-    fast = rows.shape[1] - (2 if slow > 0 else 0)
-    q, r = fast - 1 - p, drift.shape[1]
-    m = max(p, q)
-    thetas, chains = np.zeros((len(rows), 2 * m + 1)), np.zeros((len(rows), 3, r + slow, r + slow))
-    for n in range(len(rows)):
-        for i in range(p):
-            thetas[n, i] = rows[n, i]
-        for i in range(q):
-            thetas[n, m + i] = rows[n, p + i]
-        thetas[n, 2 * m] = rows[n, fast - 1]
-        for part in range(3):
-            for i in range(r):
-                for j in range(r):
-                    chains[n, part, i, j] = drift[part, i, j]
-        if slow > 0:
-            slow_part(slow, rows[n, fast], rows[n, fast + 1], belief[RATE_S], chains[n])
+    fast, m, r = _sizes(rows.shape[1], p, slow, drift)
+    thetas, chains = np.zeros((len(rows), 2 * m + 1)), np.zeros((len(rows), 3, r, r))
+    _set_models(rows, p, slow, drift, belief, thetas, chains)
     channel_filter(y, thetas, chains, sees, rules, first, E, V, values)
     for n in range(len(rows) if slow > 0 else 0):
         off = (rows[n, fast] - belief[LOG_UNIT] - belief[CENTRE]) / belief[SPREAD]
@@ -625,32 +646,44 @@ def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, va
         values[n] -= belief[LOG_SHARE] - 0.5 * (off * off + off_tau * off_tau)
 
 
+@apart
+@njit(cache=True, nogil=True, error_model="numpy")
+def difference_steps(theta, p, slow, differences, steps):
+    """By how much each parameter is moved for its derivative, into `steps`: the first of the differences that leaves a
+    stationary start; the last of them is that of a slow part.
+    """
+    k, tries = theta.size, differences.size - 1
+    fast = k - (2 if slow > 0 else 0)
+    q = fast - 1 - p
+    m = max(p, q)
+    a, c, spare = np.zeros(m), np.zeros(m), np.zeros((m, m))
+    for i in range(p):
+        a[i] = theta[i]
+    for i in range(q):
+        c[i] = theta[p + i]
+    for i in range(k):
+        steps[i] = differences[0 if i < fast else tries]
+        for n in range(tries if i < p else 0):
+            steps[i] = differences[n]
+            a[i] = theta[i] + steps[i]
+            if stationary(a, c, spare):
+                break
+        if i < p:
+            a[i] = theta[i]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_point(y, rows, p, slow, drift, sees, rules, belief, differences, E, V, values, info, gradient):
     """`channel_values` of the model in row 0 and of those behind row k, and in rows 1 to k, written here, of the first
     with one of its parameters moved; gradient (k,) and Fisher information (k, k) by these differences.
 
-    differences: steps of a coefficient, the first that leaves a stationary start is taken; the last is that of a slow
-    part. Infinite, and NaN, where one of the moved models is not stationary: the caller chooses steps that are.
+    differences: see `difference_steps`. Infinite, and NaN, where one of the moved models is not stationary: the caller
+    chooses steps that are.
     """
-    k, tries = rows.shape[1], differences.size - 1
-    fast = k - (2 if slow > 0 else 0)
-    q = fast - 1 - p
-    m = max(p, q)
-    a, c, spare, steps = np.zeros(m), np.zeros(m), np.zeros((m, m)), np.empty(k)
-    for i in range(p):
-        a[i] = rows[0, i]
-    for i in range(q):
-        c[i] = rows[0, p + i]
+    k = rows.shape[1]
+    fast, steps = k - (2 if slow > 0 else 0), np.empty(k)
+    difference_steps(rows[0], p, slow, differences, steps)
     for i in range(k):
-        steps[i] = differences[0 if i < fast else tries]
-        for n in range(tries if i < p else 0):
-            steps[i] = differences[n]
-            a[i] = rows[0, i] + steps[i]
-            if stationary(a, c, spare):
-                break
-        if i < p:
-            a[i] = rows[0, i]
         for j in range(k):
             rows[i + 1, j] = rows[0, j]
         rows[i + 1, i] += steps[i]
@@ -714,3 +747,121 @@ def damped_steps(theta, gradient, info, dampings, sizes, converged, longest, mov
         for i in range(k):
             moved[n, i] = theta[i] + shrunk * step[i]
     return dampings.size
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _begins(y, missing, longest):
+    """Whether a segment begins in these samples; `missing` before them."""
+    for t in range(y.size):
+        if math.isnan(y[t]):
+            missing += 1
+        else:
+            if missing > longest:
+                return True
+            missing = 0
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def channel_recursion(
+    y,
+    theta,
+    stands,
+    steps,
+    p,
+    slow,
+    drift,
+    sees,
+    rules,
+    belief,
+    limits,
+    known,
+    centre,
+    keep,
+    least,
+    state,
+    past,
+    info,
+    told,
+):
+    """Recursive prediction-error steps (Ljung 1979) of one model, every `STEP` samples and after the last, in place.
+
+    In lane 0 goes the model of `theta`, in the next k those with one of its parameters moved by `steps`, in the last
+    one what stands. Their filters go on from `state` (groups, rows, LANES) and `past`, see `state_shape`, from those of
+    the samples before; nothing is run again. With the gradient g and the information of the samples between two steps,
+    see `channel_scores`, and what is believed, `known` (k,) about `centre` (k,),
+
+        ``J = keep^n J + info,  theta -= (J + J0)^-1 (g + (1 - keep^n) J0 (theta - centre))``
+
+    where n samples are forgotten at once; no step is longer than one standard deviation, and theta stays within
+    `limits`, see `confine`. `info` is J; told (TOLD,) is summed up, the gain not below `-least`. Where `keep` is
+    negative nothing is forgotten and theta stays.
+    """
+    k = theta.size
+    fast, m, r = _sizes(k, p, slow, drift)
+    n, d, groups, moves = r + m, int(rules[DIFFUSE]), len(state), keep > 0.0
+    rows, thetas, chains = np.empty((k + 2, k)), np.zeros((k + 2, 2 * m + 1)), np.zeros((k + 2, 3, r, r))
+    U, used, able = np.zeros((r * r, LANES)), np.zeros((2, r, r), np.bool_), np.zeros(LANES, np.bool_)
+    Q, start, noise = np.zeros((n * n, LANES)), np.zeros((n * n, LANES)), np.zeros((1, LANES))
+    a, g, corner = np.zeros((m, LANES)), np.zeros((m, LANES)), np.zeros((m + 1, LANES))
+    L, K, noted, spare = (
+        np.zeros((n, LANES)),
+        np.zeros((n, LANES)),
+        np.zeros((2, LANES)),
+        (np.zeros((d, d)), np.zeros((n, d))),
+    )
+    sums, model, now = (
+        (np.zeros((1, LANES)), np.ones((1, LANES))),
+        (U, used, a, g, Q, start, noise),
+        np.empty(2, np.int64),
+    )
+    E, V, values = np.empty((STEP, groups * LANES)), np.empty((STEP, groups * LANES)), np.empty(groups * LANES)
+    gradient, own, trial, gains, undamped = np.empty(k), np.empty((k, k)), np.empty((1, k)), np.empty(1), np.zeros(1)
+    for begin in range(0, y.size, STEP):
+        part = y[begin : begin + STEP]
+        for i in range(k + 2):
+            for j in range(k):
+                rows[i, j] = theta[j] if i <= k else stands[j]
+        for i in range(k):
+            rows[i + 1, i] += steps[i]
+        _set_models(rows, p, slow, drift, belief, thetas, chains)
+        starts = _begins(part, past[0], rules[LONGEST_GAP])
+        for group in range(groups):
+            used[:] = False
+            now[0], now[1] = past[0], past[1]
+            _set_up(thetas, chains, group * LANES, rules, starts, U, used, a, g, Q, start, noise, able)
+            _store(sums[0], 0, _all_of(0.0))
+            _store(sums[1], 0, _all_of(1.0))
+            at = state[group]
+            P, x, A = at[: n * n], at[n * n : n * n + n], at[n * n + n : n * n + n + d * n]
+            X, w = at[n * n + n + d * n : n * n + n + d * n + d * d], at[n * n + n + d * n + d * d :]
+            lanes = P, x, L, K, A, X, w, corner, noted, spare
+            shape = _shape(used, sees, m)
+            counted = _through(part, sees, rules, int(0), shape, group, E, V, model, lanes, now, sums)
+            for lane in range(LANES):
+                value = sums[0][0, lane] + 0.5 * math.log(sums[1][0, lane]) + counted * HALF_LOG_2PI
+                values[group * LANES + lane] = value
+        past[0], past[1] = now[0], now[1]
+        told[COST] += values[0]
+        told[GAIN] = max(told[GAIN] + values[k + 1] - values[0], -least)
+        channel_scores(E[: part.size], V[: part.size], steps, rules[CLIP], own, gradient)
+        left = keep**part.size if moves else 1.0
+        for i in range(k):
+            gradient[i] += (1.0 - left) * known[i] * (theta[i] - centre[i])
+            for j in range(k):
+                info[i, j] = left * info[i, j] + own[i, j]
+                own[i, j] = info[i, j] + (known[i] if i == j else 0.0)
+        if moves and damped_steps(theta, gradient, own, undamped, fast - 1, 0.0, math.inf, trial, gains):
+            shrunk = 1.0 / math.sqrt(max(2.0 * gains[0], 1.0))
+            for i in range(k):
+                trial[0, i] = theta[i] + shrunk * (trial[0, i] - theta[i])
+            arma_fit.confine(trial, p, fast - 1 - p, limits)
+            for i in range(k):
+                theta[i] = trial[0, i]
+
+
+def state_shape(k, p, slow, drift, rules):
+    """Of the state of `channel_recursion`: groups of lanes; covariances, states and what a diffuse start needs."""
+    fast, d = k - 2 * (slow > 0), int(rules[DIFFUSE])
+    n = len(drift[0]) + slow + max(p, fast - 1 - p)
+    return -(-(k + 2) // LANES), n * n + n + d * n + d * d + d, LANES

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.kernels.arma_likelihood import COST, GAIN
 from navfilter.learning.initial_values import Growth, padded, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
-from navfilter.learning.learner_memory import Kind, LearnerMemory, Order
-from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.likelihood import Followed, Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
-from navfilter.learning.slow_posterior import Line, Place, log_share, slow_posterior
+from navfilter.learning.slow_posterior import Line, SlowPosterior, log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 
-__all__ = ["LearnerMemory"]
-
 Array = NDArray[np.float64]
+Order = tuple[int, int]
+#: AR and MA order of a fast part, and order of the slow part beside it, 0 without one.
+Kind = tuple[int, int, int]
 #: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).
 LEAST_WEIGHT = 0.1
 #: What information on a coefficient is worth nothing [1]
@@ -32,16 +33,35 @@ LEAST_WEIGHT = 0.1
 BEFOREHAND = math.pi
 
 
-class AxisFit(NamedTuple):
-    """What a learner has found in one series.
+@dataclass(frozen=True)
+class LearnerMemory:
+    """What a learner knows between hops; nothing in it is changed.
 
     Attributes
     ----------
-    likelihood : Likelihood
-    found : tuple of Found
-        The hypothesis that there is no quick colour, before the likeliest other; or one of them alone.
-    n : int
-        Samples that count.
+    thetas : dict of (p, q, order of the slow part) to ndarray
+        Estimates of all that has been fitted, in the unit of the series; see `Likelihood`. With a slow part of second
+        order that of the order that it was tried with last.
+    chosen : dict of (p, q, order of the slow part) to float
+        The most probable, and how probable: at most two.
+    followed : dict of the same to Followed
+        What the recursion makes of them.
+    scale : (float, float, int)
+        Unit and level of the series that it goes on from, and how many samples the last look knew.
+    lines : dict of the same to dict of (order, number of tau) to Line
+        Of the posteriors of their slow parts, see `SlowPosterior`: those that are possible.
+    """
+
+    thetas: dict[Kind, Array]
+    chosen: dict[Kind, float]
+    followed: dict[Kind, Followed]
+    scale: tuple[float, float, int]
+    lines: dict[Kind, dict[tuple[int, int], Line]]
+
+
+class AxisFit(NamedTuple):
+    """What a learner has found in one series with n samples: the hypothesis that there is no quick colour, before the
+    likeliest other; or one of them alone.
     """
 
     likelihood: Likelihood
@@ -50,13 +70,18 @@ class AxisFit(NamedTuple):
 
 
 class Learner:
-    """Follows the error of one channel from hop to hop; each hop hands out one immutable, stable model.
+    """Follows the error of one channel; what it hands out is an immutable, stable model.
 
-    The error is a slow part beside a fast ARMA part. The fast part is fitted for each order, with a slow part and
-    without; orders are weighed by their evidence. Beside the likeliest ones the slow part has a
-    posterior. One model is handed out, with the mean spectrum of a white and a coloured fast part and the mean
-    covariance of all slow ones. What the data cannot tell is thereby carried as variance. A hop tells what its window
-    says; of earlier ones only the estimates are known, from which it begins.
+    The error is a slow part beside a fast ARMA part. A look fits the fast part for each order, with a slow part and
+    without; orders are weighed by their evidence. Beside the likeliest ones the slow part has a posterior. One model is
+    handed out, with the mean spectrum of a white and a coloured fast part and the mean covariance of all slow ones.
+    What the data cannot tell is thereby carried as variance. A look tells what its window says; of earlier ones only
+    the estimates are known, from which it begins. From then on every reading moves the likeliest ones by recursive
+    prediction-error steps (Ljung 1979), which forget by half a window.
+
+    At a hop a model is handed out where they have told readings better than the last one by as much as makes a
+    difference, and a look comes where they are further from what the last one found than two windows are by chance, by
+    as much; or where the window holds twice or half the readings that it did.
 
     Parameters
     ----------
@@ -107,7 +132,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, {}, 0, 0, 0, 0)
+        self._memory = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
 
     @property
     def memory(self) -> LearnerMemory:
@@ -125,24 +150,18 @@ class Learner:
         self._memory = memory
 
     def hop(self, series: ArrayLike, fresh: int | None = None) -> LearnedModel | None:
-        """Learn from the last `window` samples (fewer at first).
+        """Learn from a series, oldest first, in which NaN is a missing tick; of a look the last `window` count.
 
         Parameters
         ----------
         series : array_like, shape (N,)
-            Oldest first; NaN is a missing tick.
         fresh : int, optional
             How many of them came since the last hop; default: all are looked at as if for the first time.
 
         Returns
         -------
         Learnt or None
-            In the unit of the series; None where it holds too little, or never changes.
-
-        Raises
-        ------
-        ValueError
-            For a series that is not one-dimensional.
+            In the unit of the series; None where it holds too little or nothing new, or never changes.
         """
         found = self.look(series, fresh)
         if found is None:
@@ -154,7 +173,59 @@ class Learner:
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
-        y = np.where(np.abs(y) <= WILDEST, y, np.nan)[-self.window :]
+        y = np.where(np.abs(y) <= WILDEST, y, np.nan)
+        fresh, memory, window = y.size if fresh is None else fresh, self._memory, y[-self.window :]
+        if memory.followed and not fresh:
+            return None
+        followed, known = self._followed(y, fresh), int(np.isfinite(window).sum())
+        self._memory = replace(memory, followed=followed)
+        if not followed or not memory.scale[2] < 2 * known < 4 * memory.scale[2]:
+            return self._fitted(window)
+        scores = {kind: float(one.told[COST]) - math.log(memory.chosen[kind]) for kind, one in followed.items()}
+        # what the hypotheses have told, weighed by what they told before, against how they stand at their weights
+        stand = sum(memory.chosen[kind] * (one.told[COST] + one.told[GAIN]) for kind, one in followed.items())
+        gain = float(stand + np.logaddexp.reduce([-score for score in scores.values()]))
+        if math.isnan(gain) or any(one.distance > one.theta.size + EFFORT.hopeless for one in followed.values()):
+            return self._fitted(window)
+        return self._moved(window, scores) if gain > EFFORT.hopeless else None
+
+    def _followed(self, y: Array, fresh: int) -> dict[Kind, Followed]:
+        """What the `fresh` ones at the end of a series make of the models that are followed."""
+        memory, before, new = self._memory, y[: y.size - fresh], y[max(y.size - fresh, 0) :]
+        if not memory.followed or fresh > y.size:
+            return {}
+        goes_on = Likelihood(new, self.drift, self.white, self.prior, scale=memory.scale)
+        # what was heard may have been found wanting since
+        gap, keep = int(np.argmax(np.isfinite(np.append(0.0, before))[::-1])), math.exp(-2.0 / self.window)
+        return {kind: goes_on.gone_on(one, kind[0], kind[2], keep, gap) for kind, one in memory.followed.items()}
+
+    def _moved(self, y: Array, scores: dict[Kind, float]) -> AxisFit | None:
+        """What the recursion has found is handed out, with what the last readings say of its slow part."""
+        memory, likelihood, chosen = (
+            self._memory,
+            Likelihood(y, self.drift, self.white, self.prior),
+            self._weighed(scores),
+        )
+        followed = {kind: memory.followed[kind].handed_out() for kind in chosen}
+        thetas = {kind: _in_unit(one.theta, kind, -math.log(memory.scale[0])) for kind, one in followed.items()}
+        self._memory = replace(memory, thetas=memory.thetas | thetas, chosen=chosen, followed=followed)
+        points = {kind: likelihood.point(self._known(likelihood, kind), kind[0], kind[2]) for kind in chosen}
+        if not all(map(_is_usable, points.values())):
+            return self._fitted(y)
+        return self._handed_out(likelihood, points, chosen)
+
+    def _handed_out(self, likelihood: Likelihood, points: dict[Kind, Point], chosen: dict[Kind, float]) -> AxisFit:
+        """With the posterior of the slow part beside each."""
+        lines, posteriors = self._memory.lines, dict[Kind, SlowPosterior]()
+        for kind in chosen if self.prior is not None else ():
+            known = lines.get(kind) or next(iter(lines.values()), None)
+            posteriors[kind] = slow_posterior(likelihood, points[kind], known)
+        self._memory = replace(self._memory, lines={kind: one.lines for kind, one in posteriors.items()})
+        found = tuple(Found(points[kind], posteriors.get(kind), weight) for kind, weight in chosen.items())
+        return AxisFit(likelihood, found, int(np.isfinite(likelihood.y).sum()))
+
+    def _fitted(self, y: Array) -> AxisFit | None:
+        """What is found in a series by itself."""
         n = int(np.isfinite(y).sum())
         able = [
             (p, q, slow)
@@ -173,26 +244,13 @@ class Learner:
         scatter = float(np.mean(np.diff(likelihood.y[known]) ** 2 / np.diff(known)))
         if scatter < likelihood.chain[1, 0, 0]:
             return None
-        fresh = y.size if fresh is None else fresh
-        heard = fresh + self._memory.heard
-        if self._is_fitted(able, heard):
-            found = tuple(
-                self._found(likelihood, kind, likelihood.point(self._known(likelihood, kind), kind[0], kind[2]), weight)
-                for kind, weight in self._memory.chosen.items()
-            )
-            if all(_is_usable(one.point) for one in found):
-                self._memory = replace(self._memory, heard=heard, lines=_lines(self._memory.chosen, found))
-                return AxisFit(likelihood, found, n)
-        # as much has been heard since larger orders were begun from smaller ones as before
-        again = heard >= 2 * self._memory.grown
-        fits, scores, unlikely = self._fits(likelihood, able, n, again)
+        fits, scores = self._fits(likelihood, able, n)
         if not fits:
             return None
         self._smooth(likelihood, fits, scores, n)
         chosen = self._weighed(scores)
-        found = tuple(self._found(likelihood, kind, fits[kind], weight, new=True) for kind, weight in chosen.items())
-        self._keep(likelihood, fits, scores, unlikely, chosen, found, heard, again)
-        return AxisFit(likelihood, found, n)
+        self._keep(likelihood, fits, chosen)
+        return self._handed_out(likelihood, fits, chosen)
 
     def _weighed(self, scores: dict[Kind, float]) -> dict[Kind, float]:
         """The most probable kind without quick colour, then the most probable other, and how probable; one alone where
@@ -205,26 +263,10 @@ class Learner:
             return {best[int(np.argmax(weights))]: 1.0}
         return dict(zip(best, weights, strict=True))
 
-    def _found(self, likelihood: Likelihood, kind: Kind, point: Point, weight: float, new: bool = False) -> Found:
-        """With the posterior of the slow part, beside a `new` fast one or the same as before."""
-        if self.prior is None or not _is_usable(point):
-            return Found(point, None, weight)
-        lines = self._memory.lines
-        known = lines.get(kind) or next(iter(lines.values()), None)
-        return Found(point, slow_posterior(likelihood, point, known, not new), weight)
-
-    def _is_fitted(self, able: list[Kind], heard: int) -> bool:
-        """Whether the fast part stays as it is, for some of what it was fitted to is in the window still."""
-        memory = self._memory
-        known = memory.heard >= self.window // 2 and all(kind in memory.scores for kind in able)
-        return known and heard < memory.fitted + self.window
-
     def _known(self, likelihood: Likelihood, kind: Kind) -> Array:
         """An earlier estimate, in the unit of a likelihood."""
-        p, q, slow = kind
-        theta = self._memory.thetas[kind].copy()
-        theta[p + q : p + q + 1 + bool(slow)] += likelihood.log_unit
-        confined: Array = likelihood.confine([theta], p, slow)[0]
+        theta = _in_unit(self._memory.thetas[kind], kind, likelihood.log_unit)
+        confined: Array = likelihood.confine([theta], kind[0], kind[2])[0]
         return confined
 
     def _score(self, likelihood: Likelihood, point: Point, n: int) -> tuple[float, float]:
@@ -236,115 +278,78 @@ class Learner:
         _, volume = np.linalg.slogdet((n * np.eye(k) + point.info[:k, :k]) / BEFOREHAND)
         return point.value + 0.5 * float(volume) - share, share
 
-    def _fits(
-        self, likelihood: Likelihood, able: list[Kind], n: int, again: bool
-    ) -> tuple[dict[Kind, Point], dict[Kind, float], dict[Kind, float]]:
-        """The orders whose turn it is, without a slow part and beside one of first order, and their scores. Each begins
-        from its last estimate, and where `again` is set from smaller ones, too: what was found of few readings may be
-        near a lower maximum, which no step leaves. Last come scores of those that cannot become good enough by what
-        smaller ones leave, which are not fitted.
+    def _fits(self, likelihood: Likelihood, able: list[Kind], n: int) -> tuple[dict[Kind, Point], dict[Kind, float]]:
+        """Orders without a slow part and beside one of first order, and their scores. Each begins from its last
+        estimate, and from smaller ones: what was found of few readings may be near a lower maximum, which no step
+        leaves. Those that cannot become good enough by what smaller ones leave are not fitted.
         """
-        memory, fits, scores, unlikely = self._memory, dict[Kind, Point](), dict[Kind, float](), dict[Kind, float]()
+        fits, scores = dict[Kind, Point](), dict[Kind, float]()
         best, shares, growth = math.inf, [0.0, 0.0], Growth(likelihood)
-        for p, q, slow in self._ration(able):
-            kind = p, q, slow
-            # what it costs to be larger, and a slow part, comes off what an order may be worth
-            price = 0.5 * math.log(2.0 * n / BEFOREHAND)
-            cost = price * (p + q + 1) - shares[slow]
-            enough = best + EFFORT.hopeless - cost
-            known = kind in memory.thetas
+        # what it costs to be larger, and a slow part, comes off what an order may be worth
+        price = 0.5 * math.log(2.0 * n / BEFOREHAND)
+        for kind in able:
+            p, q, slow = kind
+            enough = best + EFFORT.hopeless - price * (p + q + 1) + shares[slow]
+            known = kind in self._memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
-            if (again or not known) and p + q:
+            if p + q:
                 below = {k[:2]: point for k, point in fits.items() if k[0] <= p and k[1] <= q and k[2] == slow}
                 below = below or {(0, 0): white_point(likelihood, slow)}
-                was_close = memory.scores.get(kind, math.inf) <= EFFORT.hopeless
-                at_least = price, math.inf if was_close else enough
-                grown, lowest = growth.starts(below, p, q, *at_least)
+                grown = growth.starts(below, p, q, price, enough)
                 # one that is as good without a slow part may stand where that stands for a quick colour
-                alone = scores.get((p, q, 1 - slow), math.inf) <= best + EFFORT.hopeless
-                if not grown and not alone:
-                    unlikely[kind] = lowest + cost
+                if not grown and scores.get((p, q, 1 - slow), math.inf) > best + EFFORT.hopeless:
                     continue
                 starts += grown or padded(below, p, q)
-            if slow and (again or not known) and (p, q, 0) in fits:
+            if slow and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
-            if starts:
-                passes = EFFORT.late_passes if known else EFFORT.first_passes
-                point = maximise(likelihood, starts, p, passes, slow, enough)
-            else:
-                point = white_point(likelihood, slow)
+            passes = EFFORT.late_passes if known else EFFORT.first_passes
+            point = maximise(likelihood, starts, p, passes, slow, enough) if starts else white_point(likelihood, slow)
             if _is_usable(point):
                 fits[kind] = point
                 scores[kind], shares[slow] = self._score(likelihood, point, n)
                 best = min(best, scores[kind])
-        return fits, scores, unlikely
-
-    def _ration(self, able: list[Kind]) -> list[Kind]:
-        """What to fit: all while the window fills, then the two best, the best without quick colour and the best with
-        one, and one of the others in turn.
-        """
-        memory = self._memory
-        if memory.heard < self.window // 2 or any(kind not in memory.scores for kind in able):
-            return able
-        ranked = sorted(able, key=lambda kind: (memory.scores[kind], sum(kind)))
-        chosen = {*ranked[:2], *_best_of_each({kind: memory.scores[kind] for kind in ranked})}
-        others = sorted(set(able) - chosen)
-        turn = [others[memory.turn % len(others)]] if others else []
-        return sorted([*chosen, *turn], key=lambda kind: (sum(kind[:2]), kind))
+        return fits, scores
 
     def _smooth(self, likelihood: Likelihood, fits: dict[Kind, Point], scores: dict[Kind, float], n: int) -> None:
         """An order beside a slow part of second order, put to the others."""
-        memory = self._memory
-        first = [kind for kind in fits if kind[2]]
+        first, memory = [kind for kind in fits if kind[2]], self._memory
         if not first or (memory.lines and all(order < 2 for of in memory.lines.values() for order, _ in of)):
             return
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
-        young, second = memory.heard < self.window // 2, [kind for kind in memory.thetas if kind[2] == 2]
+        second = [kind for kind in memory.thetas if kind[2] == 2]
         best = min(first, key=lambda kind: scores[kind])
         starts = [
             (kind[:2], with_slow_parts(likelihood, [likelihood.fast(fits[kind].theta, 1)], kind[0], 2)[0])
-            for kind in ({best, min(first)} if young or not second else {min(first)})
+            for kind in {best, min(first)}
         ]
         starts += [(kind[:2], self._known(likelihood, kind)) for kind in second]
         values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
         (p, q), start = starts[int(np.argmin(values))]
-        point = maximise(likelihood, [start], p, EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
+        point = maximise(likelihood, [start], p, EFFORT.smooth_passes, 2)
         if _is_usable(point):
             fits[p, q, 2], (scores[p, q, 2], _) = point, self._score(likelihood, point, n)
 
-    def _keep(
-        self,
-        likelihood: Likelihood,
-        fits: dict[Kind, Point],
-        scores: dict[Kind, float],
-        unlikely: dict[Kind, float],
-        chosen: dict[Kind, float],
-        found: tuple[Found, ...],
-        heard: int,
-        again: bool,
-    ) -> None:
-        memory, lowest = self._memory, min(scores.values())
+    def _keep(self, likelihood: Likelihood, fits: dict[Kind, Point], chosen: dict[Kind, float]) -> None:
+        memory = self._memory
         # of the smooth ones the one that was tried last
         thetas = {kind: theta for kind, theta in memory.thetas.items() if kind[2] < 2}
-        for (p, q, slow), point in fits.items():
-            thetas[p, q, slow] = theta = point.theta.copy()
-            theta[p + q : p + q + 1 + bool(slow)] -= likelihood.log_unit
-        gaps = {**memory.scores, **{kind: score - lowest for kind, score in (unlikely | scores).items()}}
-        lines = _lines(chosen, found)
-        grown = heard if again else memory.grown
-        self._memory = LearnerMemory(thetas, gaps, chosen, lines, memory.turn + 1, heard, grown, fitted=heard)
+        thetas |= {kind: _in_unit(point.theta, kind, -likelihood.log_unit) for kind, point in fits.items()}
+        followed = {kind: likelihood.followed(fits[kind].theta, kind[0], kind[2]) for kind in chosen}
+        self._memory = LearnerMemory(thetas, chosen, followed, likelihood.scale, memory.lines)
+
+
+def _in_unit(theta: Array, kind: Kind, log_unit: float) -> Array:
+    """Parameters in a unit so many times as small, as a logarithm."""
+    p, q, slow = kind
+    moved = theta.copy()
+    moved[p + q : p + q + 1 + bool(slow)] += log_unit
+    return moved
 
 
 def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:
     """The most probable kind without quick colour, and the most probable with one; of those that there are."""
     kinds = ([kind for kind in scores if any(kind[:2]) == coloured] for coloured in (False, True))
     return [min(some, key=lambda kind: scores[kind]) for some in kinds if some]
-
-
-def _lines(chosen: Iterable[Kind], found: Sequence[Found]) -> dict[Kind, dict[Place, Line]]:
-    """What is remembered of posteriors."""
-    both = zip(chosen, found, strict=True)
-    return {kind: one.posterior.lines for kind, one in both if one.posterior is not None}
 
 
 def _is_usable(point: Point) -> bool:

@@ -101,10 +101,10 @@ class Growth:
 
     def starts(
         self, below: Mapping[Order, Point], p: int, q: int, price: float = 0.0, enough: float = math.inf
-    ) -> tuple[list[Array], float]:
-        """Of each number of poles and zeros more those that promise most, the best of them first. And how low minus the
-        log-likelihood may become: less by `EFFORT.optimism` times what one of them should gain. There are none where no
-        gain is worth the `price` of each pole and zero more, nor may be `enough`.
+    ) -> list[Array]:
+        """Of each number of poles and zeros more those that promise most, the best of them first. There are none where
+        no gain is worth the `price` of each pole and zero more, nor may be `enough`: minus the log-likelihood becomes
+        less by at most `EFFORT.optimism` times what one of them should gain.
 
         `below` are estimates of orders that may become (p, q), at least one.
         """
@@ -120,7 +120,7 @@ class Growth:
             lowest = min(lowest, value - EFFORT.optimism * gain)
             pays = pays or gain > price * (p + q - sum(best))
         if not pays and lowest > enough:
-            return [], lowest
+            return []
         starts = []
         for _, best, more, of, fall in sorted(found):
             theta, at, (ar, ma, _) = below[best].theta, sum(best), _factors()[more]
@@ -128,14 +128,14 @@ class Growth:
             theta = np.concatenate([poles, zeros, theta[at:]])
             theta[at + sum(more)] -= 0.5 * fall
             starts.append(padded_start(theta, poles.size, p, q, below[best].slow))
-        return starts, lowest
+        return starts
 
 
 def grown_point(likelihood: Likelihood, p: int, q: int, passes: int) -> Point:
     """The best estimate of one order, without a slow part: by a pole and a zero more from order to order."""
     below, growth = {(0, 0): white_point(likelihood)}, Growth(likelihood)
     for order in [(min(k, p), min(k, q)) for k in range(1, max(p, q) + 1)]:
-        starts, _ = growth.starts(below, *order)
+        starts = growth.starts(below, *order)
         below[order] = maximise(likelihood, starts, order[0], passes if order == (p, q) else EFFORT.below_passes)
     return below[p, q]
 

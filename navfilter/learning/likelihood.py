@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,9 +23,53 @@ Array = NDArray[np.float64]
 
 #: Ticks over which innovations are compared with each other.
 LAGS = 512
+#: What is believed of coefficients of a stable model, and of logarithms of sizes within reason, as information
+#: [1] (derived: they are of the order of one).
+PRESUMED = 0.1
 #: Where innovations are not wanted.
 _UNWANTED = np.empty((0, LANES))
 _DIFFERENCES, _DAMPINGS = np.array([*EFFORT.differences, EFFORT.slow_difference]), np.array(EFFORT.dampings)
+
+
+class Followed(NamedTuple):
+    """A model that every reading moves, see `navfilter.kernels.arma_likelihood.channel_recursion`; in scaled units.
+
+    Attributes
+    ----------
+    theta, stands, fitted : ndarray, shape (k,)
+        As it is now, as it is in what is handed out, and as the last look found it.
+    known, info : ndarray, shape (k, k)
+        Information of that look and what is believed, and information now.
+    steps : ndarray, shape (k,)
+        By how much each parameter is moved for its derivative.
+    state, past : ndarray
+        Of the filters.
+    told : ndarray, shape (TOLD,)
+        How well it has told readings since it was handed out.
+    """
+
+    theta: Array
+    stands: Array
+    fitted: Array
+    known: Array
+    info: Array
+    steps: Array
+    state: Array
+    past: NDArray[np.int64]
+    told: Array
+
+    @property
+    def distance(self) -> float:
+        """How far it is from what the last look found: by how much less likely that look's readings are [nat]."""
+        off = self.theta - self.fitted
+        return float(0.5 * off @ self.known @ off)
+
+    def handed_out(self) -> Followed:
+        """The same where it is handed out as it is now."""
+        of, lane = divmod(self.theta.size + 1, LANES)
+        state = self.state.copy()
+        state[of, :, lane] = state[0, :, 0]
+        return self._replace(stands=self.theta, state=state, told=np.zeros(kernel.TOLD))
 
 
 class Likelihood:
@@ -46,6 +91,13 @@ class Likelihood:
         Of the slow part; without one there is none, and poles are only kept where the series can tell them from 1.
     clip : float
         Innovations beyond this many standard deviations are clipped.
+    scale : (float, float, int), optional
+        That of another series, which this one goes on from.
+
+    Attributes
+    ----------
+    scale : (float, float, int)
+        Unit and level of the series, and how many samples are known.
 
     Raises
     ------
@@ -60,7 +112,34 @@ class Likelihood:
         white: float,
         prior: SlowPrior | None = None,
         clip: float = CLIP,
+        scale: tuple[float, float, int] | None = None,
     ) -> None:
+        diffuse = int(np.isinf(drift.start_sd).sum())
+        self.scale = self._scaled(series, drift, diffuse) if scale is None else scale
+        self.unit, level, count = self.scale
+        self.log_unit = math.log(self.unit)
+        self.y = np.ascontiguousarray(series - level) * self.unit
+        self.drift, self.prior = drift, prior
+        self.chain = drift_chain(drift, self.unit)
+        r = self.chain.shape[1]
+        # the kernel is written out for chains with a slow part: where there is none, a state that is always zero
+        idle = np.pad(self.chain, ((0, 0), (0, 1), (0, 1)))
+        self._chains = idle, self.chain, self.chain
+        self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in (1, 1, 2)]
+        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
+        self.n = count - diffuse
+        self.pole_radius = resolved_radius(max(count, 8))
+        nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
+        if prior is not None:
+            sizes = np.log(prior.sd_limits) + self.log_unit
+            self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
+        self._space = np.empty(2 * self.y.size * LANES)
+        self._beliefs = [slow_belief(slow, prior, drift.period_s, self.log_unit) for slow in range(3)]
+        self._unbelieved = [slow_belief(slow, None, drift.period_s, self.log_unit) for slow in range(3)]
+
+    @staticmethod
+    def _scaled(series: Array, drift: Drift, diffuse: int) -> tuple[float, float, int]:
         known = series[np.isfinite(series)]
         if known.size < drift.order + 8:
             raise ValueError(
@@ -70,30 +149,9 @@ class Likelihood:
         top = float(np.max(np.abs(step)))
         if not top > 1e-13 * float(np.max(np.abs(known))):
             raise ValueError("the series is constant: it has no error to learn.")
-        # A power of two, so that scaling is exact.
-        self.unit = 2.0 ** -round(math.log2(top * max(float(np.sqrt(np.mean((step / top) ** 2))), 1e-6)))
-        self.log_unit = math.log(self.unit)
-        diffuse = int(np.isinf(drift.start_sd).sum())
-        # A diffuse level takes up any constant: without it, arithmetic is with small numbers.
-        self.y = np.ascontiguousarray(series - (known[0] if diffuse else 0.0)) * self.unit
-        self.drift, self.prior = drift, prior
-        self.chain = drift_chain(drift, self.unit)
-        r = self.chain.shape[1]
-        # the kernel is written out for chains with a slow part: where there is none, a state that is always zero
-        idle = np.pad(self.chain, ((0, 0), (0, 1), (0, 1)))
-        self._chains = idle, self.chain, self.chain
-        self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in (1, 1, 2)]
-        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
-        self.n = known.size - diffuse
-        self.pole_radius = resolved_radius(max(known.size, 8))
-        nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
-        self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
-        if prior is not None:
-            sizes = np.log(prior.sd_limits) + self.log_unit
-            self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
-        self._space = np.empty(2 * self.y.size * LANES)
-        self._beliefs = [slow_belief(slow, prior, drift.period_s, self.log_unit) for slow in range(3)]
-        self._unbelieved = [slow_belief(slow, None, drift.period_s, self.log_unit) for slow in range(3)]
+        # A power of two, so that scaling is exact; without a level that a diffuse state takes up numbers are small.
+        unit = 2.0 ** -round(math.log2(top * max(float(np.sqrt(np.mean((step / top) ** 2))), 1e-6)))
+        return unit, float(known[0]) if diffuse else 0.0, int(known.size)
 
     def fast(self, theta: Array, slow: int) -> Array:
         """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
@@ -175,6 +233,38 @@ class Likelihood:
         kernel.channel_point(self.y, rows, p, slow, *fixed, values, info, gradient)
         return Point(theta, p, slow, float(values[0]), gradient, info), values[k + 1 :].tolist()
 
+    def followed(self, theta: Array, p: int, slow: int) -> Followed:
+        """A model that has gone through the whole series as it is, for a recursion to go on from."""
+        k = theta.size
+        steps, told, info = np.empty(k), np.zeros(kernel.TOLD), np.zeros((k, k))
+        kernel.difference_steps(theta, p, slow, _DIFFERENCES, steps)
+        state = np.zeros(kernel.state_shape(k, p, slow, self._chains[slow], self.rules))
+        one = Followed(theta, theta, theta, info, info, steps, state, np.array([LONGEST_GAP + 1, 0]), told)
+        now = self.gone_on(one, p, slow, -1.0)
+        return now._replace(known=now.info + np.diag(self._believed(one, slow)[0]), told=told)
+
+    def gone_on(self, one: Followed, p: int, slow: int, keep: float, gap: int = 0) -> Followed:
+        """What a recursion makes of this series, which begins where the other one ended, with a `gap` at least: of what
+        is known the part `keep` is left a sample later; where that is negative the model stays.
+        """
+        moving = {name: getattr(one, name).copy() for name in ("theta", "info", "state", "past", "told")}
+        now, fixed = one._replace(**moving), (self._chains[slow], self._sees[slow], self.rules)
+        now.past[0] = max(int(now.past[0]), gap)
+        kernel.channel_recursion(
+            *(self.y, now.theta, now.stands, now.steps, p, slow, *fixed, self._beliefs[slow], self._limits),
+            *(*self._believed(one, slow), keep, EFFORT.hopeless, now.state, now.past, now.info, now.told),
+        )
+        return now
+
+    def _believed(self, one: Followed, slow: int) -> tuple[Array, Array]:
+        """What is believed of the parameters, as information, and about which values."""
+        information, centre = np.full(one.fitted.size, PRESUMED), one.fitted.copy()
+        if slow:
+            assert self.prior is not None
+            information[-2:] = self.prior.spread**-2.0, self.prior.tau_spread**-2.0
+            centre[-2:] = self.prior.centre[0] + self.log_unit, self.prior.centre[1]
+        return information, centre
+
     def confine(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
         """Parameter vectors, one a row, with poles and zeros pulled inside their radii, fast poles away from 1, and
         sizes within reason.
@@ -197,10 +287,8 @@ class Point:
 
     @property
     def covariance(self) -> Array:
-        """Inverse Fisher information and what is known beforehand: coefficients of a stable model, and logarithms of
-        sizes within reason, are of the order of one.
-        """
-        return np.asarray(np.linalg.inv(self.info + 0.1 * np.eye(self.theta.size)), dtype=np.float64)
+        """Inverse Fisher information and what is known beforehand."""
+        return np.asarray(np.linalg.inv(self.info + PRESUMED * np.eye(self.theta.size)), dtype=np.float64)
 
 
 def maximise(
@@ -211,22 +299,8 @@ def maximise(
     slow: int = 0,
     enough: float = math.inf,
 ) -> Point:
-    """Fisher scoring: a short race between the starts, then the leader alone.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    starts : sequence of ndarray
-        Parameter vectors.
-    p : int
-        Number of AR coefficients.
-    passes : int
-        Most scoring passes of the leader.
-    slow : int
-        Order of the slow part, 0 without one.
-    enough : float
-        A point that should stay above this value, though it gained `EFFORT.optimism` times what its slope says, is not
-        improved.
+    """Fisher scoring from some parameter vectors: a short race between them, then at most `passes` of the leader alone.
+    What should stay above `enough`, though it gained `EFFORT.optimism` times what its slope says, is not improved.
     """
     leaders = [likelihood.point(theta, p, slow) for theta in likelihood.confine(starts, p, slow)]
     if len(leaders) > 1:

@@ -46,14 +46,8 @@ DIFFUSE = 100.0
 
 
 def described_share(likelihood: Likelihood, described: Block, learnt: Block) -> float:
-    """The probability pi of the description: 1/2 while there are fewer than `LEAST` sums.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the series, beside its drift.
-    described, learnt : Block
-        Of the two models, per sample.
+    """The probability pi of the description beside what was learnt, both per sample: 1/2 while there are fewer than
+    `LEAST` sums of the series.
     """
     told = [_sums(likelihood, one) for one in (learnt, described)]
     gain = told[0][0] - told[1][0]
@@ -86,17 +80,8 @@ def _sums(likelihood: Likelihood, block: Block) -> tuple[float, int]:
 def mixed(
     learnt: LearnedModel, moments: Array, likelihood: Likelihood, described: Sequence[ErrorModel]
 ) -> LearnedModel:
-    """What is handed out of what was learnt and what was described.
-
-    Parameters
-    ----------
-    learnt : LearnedModel
-    moments : ndarray, shape (m, 4)
-        Of its slow part, see `SlowPosterior`.
-    likelihood : Likelihood
-        Of the series that it was learnt from.
-    described : sequence of ErrorModel
-        Parts of the description that are stationary; without any it is what was learnt.
+    """What is handed out of what was learnt of a series, with the moments of its slow part (`SlowPosterior`), and
+    of the stationary parts of what was described.
     """
     if not described:
         return learnt

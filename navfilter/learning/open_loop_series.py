@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import open_loop_residual
+from navfilter.learning.axis_learner import LearnerMemory
 from navfilter.learning.background import Task, Worker
-from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
-from navfilter.learning.setup import learner_of, with_learnt
+from navfilter.learning.setup import learner_of, memories, recall, with_learnt
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import known_walk, known_white, learning_part, with_learned
 from navfilter.models.navigation_drift import FOUND_S

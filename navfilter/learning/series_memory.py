@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.foundation.display import Value
-from navfilter.learning.learner_memory import LearnerMemory
+from navfilter.learning.axis_learner import LearnerMemory
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.navigation_drift import Drift
 

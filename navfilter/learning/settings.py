@@ -19,8 +19,8 @@ class OptimiserSettings:
         The same later, when its turn comes.
     below_passes : int
         Passes of a lower order that only serves as a start.
-    smooth_passes, late_smooth_passes : int
-        Passes of a fit with a slow part of second order, while the window fills and later.
+    smooth_passes : int
+        Passes of a fit with a slow part of second order.
     race_passes : int
         Passes of each of several starts before the leader goes on alone.
     zero_radius : float
@@ -51,7 +51,6 @@ class OptimiserSettings:
     late_passes: int = 3
     below_passes: int = 8
     smooth_passes: int = 5
-    late_smooth_passes: int = 3
     race_passes: int = 2
     zero_radius: float = 0.9995
     converged: float = 0.05

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from navfilter.learning.axis_learner import Learner
+from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.learned_model import LearnedModel
 from navfilter.learning.slow_prior import SlowPrior, slow_prior
 from navfilter.models.error_models import ErrorModel
@@ -50,3 +51,17 @@ def believed(part: LearnedArma, period_s: float, kind: ErrorModel | None = None)
 def span_s(part: LearnedArma, period_s: float) -> float:
     """Time that the window of a learnt part holds, as far as it counts [s]."""
     return min(part.window * period_s, LONGEST_SPAN_S)
+
+
+def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:
+    """What the learners of a sensor's axes know; None where nothing is learnt."""
+    return tuple(None if learner is None else learner.memory for learner in learners)
+
+
+def recall(
+    learners: Sequence[Learner | None], now: Sequence[LearnerMemory | None], then: Sequence[LearnerMemory | None]
+) -> None:
+    """Let learners that know `now` know `then`; those for which the two are one value stay as they are."""
+    for learner, present, other in zip(learners, now, then, strict=True):
+        if learner is not None and other is not None and other is not present:
+            learner.memory = other

@@ -101,21 +101,9 @@ def log_share(likelihood: Likelihood, point: Point) -> float:
     return math.log((1.0 - prior.absent) * 2.0 * math.pi * volume / math.log(2.0)) - prior.log_mass
 
 
-def slow_posterior(
-    likelihood: Likelihood, point: Point, known: Mapping[Place, Line] | None = None, same: bool = False
-) -> SlowPosterior:
-    """The posterior of the slow part, given the fast one.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        With a prior.
-    point : Point
-        With the fast part, and a slow one near which to look.
-    known : dict of (order, number of tau) to Line, optional
-        Those that were possible at an earlier hop: where to look instead.
-    same : bool
-        Whether that was beside the same fast part: others are not possible then.
+def slow_posterior(likelihood: Likelihood, point: Point, known: Mapping[Place, Line] | None = None) -> SlowPosterior:
+    """The posterior of the slow part, given the fast one of a point, near the slow one of it or, where lines of an
+    earlier look are `known`, near those.
     """
     prior = likelihood.prior
     assert prior is not None
@@ -132,8 +120,6 @@ def slow_posterior(
             place, look = (order, number), _Look(prior, order, log_tau, best)
             if known and place in known:
                 searches[place] = log_tau, look.again(known[place])
-            elif same:
-                lines[place] = Line(np.array(prior.centre[:1]), np.array([-1e300]), *guesses[number])
             else:
                 searches[place] = log_tau, look.line(*guesses[number])
         if order == 1:

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.monitor import FilterState
-from navfilter.learning.axis_learner import Learner
+from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.learned_model import learnt_from
-from navfilter.learning.learner_memory import LearnerMemory, memories, recall
 from navfilter.learning.model_reduction import hand_over, plainer
-from navfilter.learning.setup import believed
+from navfilter.learning.setup import believed, memories, recall
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.models.learned_arma import known_walk, known_white, learned_part, learning_part, with_learned
 from navfilter.models.mechanisation import Imu, Mechanisation

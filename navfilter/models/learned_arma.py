@@ -59,7 +59,7 @@ class LearnedArma(ErrorModel):
     window : int
         Samples behind an estimate.
     hop : int, optional
-        Samples between two adoptions, default half the window; fewer while that fills.
+        A model is adopted after so many samples at the soonest, default half the window; fewer while that fills.
     model : ArmaModel, optional
         The fast part in force; the navigator sets it when it adopts one.
     slow : ErrorModel, optional
