@@ -33,6 +33,8 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.state_transfer import transplant
 
 Array = NDArray[np.float64]
+#: Biases of a unit that is tried again are found within so long [s]: a quarter of the time that it is judged by.
+SETTLES_S = 0.25 * settings.WINDOW_S
 #: The filter that uses the unit, and the one that does not, as `LaneChoice` numbers them.
 WITH_UNIT, WITHOUT = 0, 1
 
@@ -53,6 +55,8 @@ class AlternativeMemory:
         When the run has last refused a reading [s].
     confirmed : ndarray, shape (sensors,)
         1: the sensor was right for long before.
+    settles : bool
+        The second filter has begun to use the unit, and still finds its biases.
     """
 
     filter: FilterMemory
@@ -60,6 +64,7 @@ class AlternativeMemory:
     lane: int
     refused_s: float
     confirmed: Array
+    settles: bool
 
 
 class Alternative:
@@ -83,7 +88,7 @@ class Alternative:
         self._main, self._vehicle, self._made, self.is_alive = main, vehicle, False, False
         self._filter: Filter
         self._choice: LaneChoice
-        self._lane, self._refused_s = WITH_UNIT, math.nan
+        self._lane, self._refused_s, self._settles = WITH_UNIT, math.nan, False
         told = {sensor.observes.corrects for sensor in vehicle.sensors.values()}
         self._carries = wanted and vehicle.drive.inertial and not told.isdisjoint({"velocity", "position"})
         self._heads = any(sensor.observes.north is not None for sensor in vehicle.sensors.values())
@@ -93,8 +98,8 @@ class Alternative:
         """Everything that changes; setting it goes back (or on) to it."""
         if not self.is_alive:
             return None
-        choice = self._choice
-        return AlternativeMemory(self._filter.memory, choice.memory, self._lane, self._refused_s, choice.alone)
+        own, choice = self._filter.memory, self._choice
+        return AlternativeMemory(own, choice.memory, self._lane, self._refused_s, choice.alone, self._settles)
 
     @memory.setter
     def memory(self, memory: AlternativeMemory | None) -> None:
@@ -102,7 +107,7 @@ class Alternative:
         if memory is not None:
             self._filter.restore(memory.filter)
             self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
-            self._lane, self._refused_s = memory.lane, memory.refused_s
+            self._lane, self._refused_s, self._settles = memory.lane, memory.refused_s, memory.settles
 
     def prepare(self, models: tuple[tuple[str, Errors], ...] = ()) -> None:
         """Make the second filter, where there is none yet, with these models in force at its start."""
@@ -114,7 +119,7 @@ class Alternative:
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
         self._choice = LaneChoice([True, False], sensors, self._main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
-        self._lane, self._refused_s = WITH_UNIT, self._main.time_s
+        self._lane, self._refused_s, self._settles = WITH_UNIT, self._main.time_s, False
 
     def problem(self, memory: AlternativeMemory) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
@@ -197,19 +202,41 @@ class Alternative:
                 self._choice.compare(which, number, reading.time_s, *foretold, lost)
         if self._choice.memory.lane != lane:
             self._change_places(tell)
-        elif lane == WITHOUT and WITH_UNIT in self._choice.due_restarts() and self._is_due():
+        elif lane == WITHOUT and self._is_due():
             self._take_state()
             self._use_unit()
             self._choice.on_restart(WITH_UNIT)
+            self._settles = True
+        elif self._settles and self._tried_s() >= SETTLES_S:
+            self._stand_where_the_run_is()
         if correction.outcome.status == "rejected":
             self._refused_s = self._main.time_s
         if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
             self.is_alive = False
 
     def _is_due(self) -> bool:
-        """Whether it is long enough ago that the unit was tried."""
+        """Whether the unit is tried anew: it has failed, or has not shown itself in time."""
+        tried_s = self._tried_s()
+        failed = WITH_UNIT in self._choice.due_restarts() and tried_s >= ANEW_S
+        return failed or tried_s >= settings.WINDOW_S + ANEW_S
+
+    def _tried_s(self) -> float:
+        """How long ago the second filter began to use the unit [s]."""
         tried = self._choice.memory
-        return (tried.step - float(tried.begun[WITH_UNIT])) * settings.LANE_STEP_S >= ANEW_S
+        return (tried.step - float(tried.begun[WITH_UNIT])) * settings.LANE_STEP_S
+
+    def _stand_where_the_run_is(self) -> None:
+        """Take the position of the run: while biases were found the second filter has been led off."""
+        main, own = self._main.memory, self._filter
+        own.apply(Fold(), _ignore)
+        given = copied(own.memory)
+        for part in (slice(0, 3), slice(15, 17)):  # latitude, longitude, height; radii of curvature there
+            given.nav[part] = main.nav[part]
+        given.P[:3] = given.P[:, :3] = 0.0
+        given.P[:3, :3] = self._main.present[:81].reshape(9, 9)[:3, :3]
+        own.restore(given)
+        self._settles = False
+        self._choice.on_restart(WITH_UNIT)  # it is judged from now on
 
     def _use_unit(self) -> None:
         """Let the second filter use the axes that were left out because they were in doubt."""
@@ -226,23 +253,12 @@ class Alternative:
         self._filter.set_imu_noise()
 
     def _change_places(self, tell: Listening) -> None:
-        """Let the run go on as the second filter, and that as the run.
-
-        One that uses the unit again has found its biases on the way, and been led off meanwhile: the position is that
-        of the run.
-        """
-        main, own = self._main, self._filter
-        own.apply(Fold(), _ignore)
-        main.apply(Fold(), tell)
-        self._lane = 1 - self._lane
-        given, before = copied(own.memory), copied(main.memory)
-        if self._lane == WITH_UNIT:
-            for part in (slice(0, 3), slice(15, 17)):  # latitude, longitude, height; radii of curvature there
-                given.nav[part] = before.nav[part]
-            given.P[:3] = given.P[:, :3] = 0.0
-            given.P[:3, :3] = before.P[:3, :3]
-        main.become(given, tell)
-        own.restore(before)
+        """Let the run go on as the second filter, and that as the run."""
+        self._filter.apply(Fold(), _ignore)
+        self._lane, self._settles = 1 - self._lane, False
+        given, before = copied(self._filter.memory), copied(self._main.memory)
+        self._main.become(given, tell)
+        self._filter.restore(before)
 
 
 def _ignore(event: Event) -> None:
