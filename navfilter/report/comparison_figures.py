@@ -4,17 +4,16 @@ learnt.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.models.mission import Stream
-from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
-from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
+from navfilter.rendering.drawing import colour
+from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack
 from navfilter.timeseries.diagnostics import acf
 from navfilter.track.track import Track
 
@@ -65,7 +64,7 @@ def _scale(values: Array, p: float = 0.998) -> float:
     return 1.1 * float(np.quantile(finite, p)) if finite.size else 0.0
 
 
-def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figure:
+def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Stack:
     """Autocorrelation of the innovations, one panel per sensor axis, with the 95 % limits of white noise.
 
     Parameters
@@ -75,37 +74,16 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
     axes : list of (str, int, str)
         Sensor, number of its axis, and what the panel is called.
     """
-    rows = -(-len(axes) // 2) if len(axes) > 1 else 1
-    columns = 2 if len(axes) > 1 else 1
-    figure = Figure(figsize=(WIDTH_IN, 1.7 * rows + 0.6), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
-    shown = grid.ravel().tolist()
-    for ax in shown[len(axes) :]:
-        ax.set_axis_off()
-    for ax, (name, i, title) in zip(shown, axes, strict=False):
-        count = 0
+    panels = []
+    for name, i, title in axes:
+        lines, count = [], 1
         for number, (label, track) in enumerate(tracks.items()):
-            if name not in track.residuals:
-                continue
-            series = innovation_series(track.residuals[name], i)
+            series = innovation_series(track.residuals[name], i) if name in track.residuals else np.empty(0)
             known = series[np.isfinite(series)]
-            if known.size <= LAGS or np.ptp(known) == 0.0:
-                continue
-            hue, dash = colour(number)
-            how: dict[str, Any] = {"color": hue, "linestyle": dash, "marker": "o", "markersize": 2.2}
-            ax.plot(range(1, LAGS + 1), acf(series, LAGS)[1:], label=no_formula(label), **how)
-            count = max(count, known.size)
-        limit = 1.96 / np.sqrt(max(count, 1))
-        ax.axhspan(-limit, limit, color="#bbbbbb", alpha=0.5, linewidth=0, label="95 % of white noise", zorder=0)
-        ax.axhline(0.0, color="black", linewidth=0.6)
-        low, high = ax.get_ylim()
-        ax.set_ylim(min(low, -0.1), max(high, 0.1))
-        ax.set_title(no_formula(title))
-    for ax in grid[:, 0]:
-        ax.set_ylabel("autocorrelation")
-    for ax in [grid[-1, 0], *([grid[-1 - len(axes) % 2, 1]] if columns == 2 else [])]:
-        ax.set_xlabel("lag [readings]")
-        ax.tick_params(labelbottom=True)
-    handles, labels = shown[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 5))
-    return figure
+            if known.size > LAGS and np.ptp(known) > 0.0:
+                lines.append(Line(np.arange(1.0, LAGS + 1.0), acf(series, LAGS)[1:], label, *colour(number)))
+                count = max(count, known.size)
+        limit = 1.96 / math.sqrt(count)
+        white = Level(-limit, limit, "95 % of white noise")
+        panels.append(Panel(title, tuple(lines), lines_at=(0.0,), level=white))
+    return Stack(tuple(panels), 1.1, x_label="lag [readings]")

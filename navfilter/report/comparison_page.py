@@ -9,14 +9,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from navfilter.evaluation.comparison import Comparison
 from navfilter.evaluation.learned_text import in_force, learnt
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.models.mission import Mission
 from navfilter.rendering.clock import clock_of
-from navfilter.rendering.drawing import style
 from navfilter.rendering.page import Section, escape, page, table_html
 from navfilter.rendering.panels import Mark, Stack
 from navfilter.report import comparison_figures, figures, learnt_figures
@@ -80,7 +77,7 @@ def render_comparison(
     )
 
 
-def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Stack | Plan | Figure]]:
+def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Stack | Plan]]:
     """Heading of a new section (or nothing), caption and what is to be drawn, one after the other."""
     truth = mission.truth
     begin_s, first_s = comparison.windows[0][0], min(float(track.time_s[0]) for track in tracks.values())
@@ -108,8 +105,7 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
     for first in range(0, len(axes), _PANELS):
         caption = "Autocorrelation of the innovations over the whole run: a filter that knows its sensors leaves none."
         title = "" if first else "What is left in the innovations"
-        with style():
-            yield title, caption, comparison_figures.correlation_figure(runs, axes[first : first + _PANELS])
+        yield title, caption, comparison_figures.correlation_figure(runs, axes[first : first + _PANELS])
     yield from _learnt(runs)
 
 
