@@ -173,8 +173,7 @@ def figures_bar(quiet: bool) -> Any:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    from navfilter.kernels.compiling.progress import expect, is_compiled, kernel_count
-    from navfilter.service.kernel_cache import FILTER
+    from navfilter.kernels.compiling.progress import FILTER, expect, is_compiled, kernel_count
 
     cold = not is_compiled(*FILTER)
     if cold:

@@ -364,9 +364,6 @@ class Tally:
         return [BadLine.several(kind, count) for kind, count in counts.items()]
 
 
-_STDOUT = 1
-
-
 def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Callable[[str], None]) -> int:
     """Feed a log again: the output of the run that wrote it, bit for bit.
 

@@ -17,8 +17,6 @@ from navfilter.service.disk import StateFile
 from navfilter.service.log import logged_options
 from navfilter.service.session import Options, Session
 
-POLICIES = ("best", "strict")
-
 
 class Past(NamedTuple):
     """What an earlier run left.
