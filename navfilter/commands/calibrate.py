@@ -16,38 +16,6 @@ if TYPE_CHECKING:
 
 OK, AS_IT_WAS = 0, 1
 
-ABOUT = "estimate clocks, lever arms, scales, mountings and compass deviation from missions, into a vehicle.toml"
-EPILOG = """\
-Estimated is what vehicle.toml is unsure of: constants with an sd above zero (time_offset_sd_s, lever_arm_sd_m,
-scale_sd, misalignment_sd_deg, deviation_sd_deg, ..). Where it is sure of everything, all kinds are opened: 0.3 s,
-0.3 m, 2 %, 3 deg, a deviation of 5 deg. --open opens some kinds beside those that the file gives.
-
-The constants are states of the filter; each step runs all missions, and the next one is linearised around what was
-found. The missions are then cut into stretches of up to a minute, dealt out to four parts. Without each part in turn
-the constants are estimated again, and the filter predicts the fixes of that part, with the old and with the new
-constants. Only when the new ones predict them better are they kept. Without any fixes, all readings of stretches of
-30 s are withheld and judged by their likelihood.
-
-A light says how far each constant is told: green where its sd is no more than the limit (--limit, else 40 % of the sd
-that was described), orange up to twice that, red beyond.
-
-"not told" means that the missions leave more than 80 % of the sd that was described: turn more, vary the speed, or
-give fixes. A constant is only known against the others: the inertial unit's clock and place are the reference; of dead
-reckoning the attitude's clock is, and the antenna of the fixes.
-
-written to --out: your vehicle.toml, comments kept: clocks and lever arms in their keys, a misalignment turned into the
-mounting, scale and deviation as 'calibrated = {scale = [value, sd], ..}', each with its remaining sd.
-
-exit codes: 0 the new constants are kept; 1 they are not, the file written is the old one; 2 wrong usage or input;
-130 interrupted.
-
-examples:
-  navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml
-  navfilter calibrate dive_0* --vehicle vehicle.toml --out calibrated.toml --json calibrated.json
-  navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --open clock,mounting
-  navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --truth 0.05    a reference as fixes
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
@@ -76,7 +44,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter calibrate``."""
+    """Estimate clocks, lever arms, scales, mountings and compass deviation from missions, into a vehicle.toml.
+
+    Estimated is what vehicle.toml is unsure of: constants with an sd above zero (time_offset_sd_s, lever_arm_sd_m,
+    scale_sd, misalignment_sd_deg, deviation_sd_deg, ..). Where it is sure of everything, all kinds are opened: 0.3 s,
+    0.3 m, 2 %, 3 deg, a deviation of 5 deg. --open opens some kinds beside those that the file gives.
+
+    The constants are states of the filter; each step runs all missions, and the next one is linearised around what was
+    found. The missions are then cut into stretches of up to a minute, dealt out to four parts. Without each part in
+    turn the constants are estimated again, and the filter predicts the fixes of that part, with the old and with the
+    new constants. Only when the new ones predict them better are they kept. Without any fixes, all readings of
+    stretches of 30 s are withheld and judged by their likelihood.
+
+    A light says how far each constant is told: green where its sd is no more than the limit (--limit, else 40 % of the
+    sd that was described), orange up to twice that, red beyond.
+
+    "not told" means that the missions leave more than 80 % of the sd that was described: turn more, vary the speed, or
+    give fixes. A constant is only known against the others: the inertial unit's clock and place are the reference; of
+    dead reckoning the attitude's clock is, and the antenna of the fixes.
+
+    written to --out: your vehicle.toml, comments kept: clocks and lever arms in their keys, a misalignment turned into
+    the mounting, scale and deviation as 'calibrated = {scale = [value, sd], ..}', each with its remaining sd.
+
+    exit codes: 0 the new constants are kept; 1 they are not, the file written is the old one; 2 wrong usage or input;
+    130 interrupted.
+
+    examples:
+      navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml
+      navfilter calibrate dive_0* --vehicle vehicle.toml --out calibrated.toml --json calibrated.json
+      navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --open clock,mounting
+      navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --truth 0.05    a reference as fixes
+    """
     from navfilter.calibration.calibrate import calibrate, to_dict, with_reference
     from navfilter.calibration.parts import KINDS
     from navfilter.calibration.text import calibration_text

@@ -10,6 +10,7 @@ has gone; `run` has its own (see its help).
 from __future__ import annotations
 
 import argparse
+import inspect
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -97,8 +98,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    replay.add_demo_arguments(_command(commands, "demo", replay.demo, *replay.DEMO))
-    replay.add_replay_arguments(_command(commands, "replay", replay.replay, *replay.REPLAY))
+    replay.add_demo_arguments(_command(commands, "demo", replay.demo))
+    replay.add_replay_arguments(_command(commands, "replay", replay.replay))
     _add(commands, run, compare, calibrate, learn, montecarlo, identify)
     _add_simulate(commands)
     _add_check(commands)
@@ -110,8 +111,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add(commands: Any, *modules: Any) -> None:
     """Commands that are a module each."""
     for module in modules:
-        name = module.__name__.rpartition(".")[2]
-        module.add_arguments(_command(commands, name, module.run, module.ABOUT, module.EPILOG))
+        module.add_arguments(_command(commands, module.__name__.rpartition(".")[2], module.run))
 
 
 class _Version(argparse.Action):
@@ -124,14 +124,14 @@ class _Version(argparse.Action):
         parser.exit(OK)
 
 
-def _command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, epilog: str
-) -> argparse.ArgumentParser:
+def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    """A command whose help is the docstring of what runs it: its first line, and what stands below the arguments."""
+    about, _, below = (inspect.getdoc(run) or "").partition("\n")
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
-        help=about,
-        description=about[0].upper() + about[1:] + ".",
-        epilog=epilog,
+        help=about[:1].lower() + about[1:].rstrip("."),
+        description=about,
+        epilog=below.lstrip("\n"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run, compiled=True)
@@ -142,20 +142,7 @@ def _command(
 
 
 def _add_simulate(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "simulate",
-        _simulate,
-        "simulate a mission with its truth",
-        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml "
-        "beside it.\n"
-        "Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is "
-        "the oracle of\n"
-        "'navfilter compare'.\n\n"
-        "examples:\n"
-        "  navfilter simulate --list\n"
-        "  navfilter simulate lawnmower --seed 3 --duration 900 --out dive\n",
-    )
+    parser = _command(commands, "simulate", _simulate)
     add = parser.add_argument
     add("scenario", nargs="?", metavar="SCENARIO", help="see --list")
     add("--list", action="store_true", help="list the scenarios and stop")
@@ -167,6 +154,16 @@ def _add_simulate(commands: Any) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
+    """Simulate a mission with its truth.
+
+    DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml beside
+    it. Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is the
+    oracle of 'navfilter compare'.
+
+    examples:
+      navfilter simulate --list
+      navfilter simulate lawnmower --seed 3 --duration 900 --out dive
+    """
     from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
     from navfilter.simulation.truth import true_vehicle
 
@@ -196,22 +193,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _add_check(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "check",
-        _check,
-        "look at a recording before it is replayed",
-        "Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity "
-        "upside down, axes\n"
-        "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would "
-        "spoil a replay.\n\n"
-        "examples:\n"
-        "  navfilter check dive_042\n"
-        "  navfilter check dive.mcap                            a bare log: what is in it, and mapped as by\n"
-        "                                                       'navfilter mission --init'\n"
-        "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings "
-        "applied\n",
-    )
+    parser = _command(commands, "check", _check)
     parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     console.add_reading_arguments(parser)
@@ -219,6 +201,18 @@ def _add_check(commands: Any) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
+    """Look at a recording before it is replayed.
+
+    Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity upside
+    down, axes swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something
+    would spoil a replay.
+
+    examples:
+      navfilter check dive_042
+      navfilter check dive.mcap                            a bare log: what is in it, and mapped as by
+                                                           'navfilter mission --init'
+      navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings applied
+    """
     from navfilter.check import check_mission, report_text
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
@@ -259,17 +253,15 @@ def _of_a_log(path: Path, say: Callable[[str], None], limit: int) -> Any:
 
 
 def _add_warmup(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "warmup",
-        _warmup,
-        "compile everything now, so that nothing compiles during a dive",
-        "What is compiled is kept: the next process starts at once. Run it once after every installation or update.\n",
-    )
+    parser = _command(commands, "warmup", _warmup)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _warmup(options: argparse.Namespace) -> int:
+    """Compile everything now, so that nothing compiles during a dive.
+
+    What is compiled is kept: the next process starts at once. Run it once after every installation or update.
+    """
     import time
 
     from navfilter.kernels.compiling.progress import show_compilation

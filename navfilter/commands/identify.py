@@ -14,27 +14,6 @@ from typing import Any
 
 from navfilter.commands import console, noise_sheet
 
-ABOUT = "identify a sensor's error model, or the noise of an inertial unit, from a recording at rest"
-EPILOG = f"""\
-FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:
-  dive_042:depth, dive_042:imu.rate_x
-
-written to --out:
-  identify.html   everything on one page that works offline
-  identify.json   order criteria, coefficients with covariance, poles, zeros, whiteness, Allan deviation, reading
-  *.svg           the figures
-  drive.toml      with --imu: the [drive] table for a vehicle.toml
-
-{noise_sheet.EPILOG}
-examples:
-  navfilter identify still.csv --column gyro_x --rate-hz 100 --unit deg/s --out gyro_x
-  navfilter identify gps.dat.gz --column 3 --time-column 1 --decimate 10 --out north
-  navfilter identify still.csv --column heading --rate-hz 8 --online --window 4000 --out tracks
-  navfilter identify still.mcap --imu --out sheet
-  navfilter identify still.csv --imu --rate-hz 200 --gyro wx,wy,wz --gyro-unit deg/s --out sheet
-"""
-
-
 #: Records longer than this get a progress in tenths.
 LONG = 100_000
 
@@ -109,7 +88,29 @@ def _order(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, identify, write, print; 0 when all is well."""
+    """Identify a sensor's error model, or the noise of an inertial unit, from a recording at rest.
+
+    FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:
+      dive_042:depth, dive_042:imu.rate_x
+
+    written to --out:
+      identify.html   everything on one page that works offline
+      identify.json   order criteria, coefficients with covariance, poles, zeros, whiteness, Allan deviation, reading
+      *.svg           the figures
+      drive.toml      with --imu: the [drive] table for a vehicle.toml
+
+    --imu takes all axes of an inertial unit at once, from a mission, a log (ROS bag, PX4, ArduPilot) or a table, uses
+    what of the record is at rest, and makes a noise sheet: angle and velocity random walk, bias instability, rate
+    random walk, quantisation, lines, Allan deviations, in the units of data sheets and with uncertainties, and the
+    [drive] table of a vehicle.toml. Exit code 1 when the record is not at rest.
+
+    examples:
+      navfilter identify still.csv --column gyro_x --rate-hz 100 --unit deg/s --out gyro_x
+      navfilter identify gps.dat.gz --column 3 --time-column 1 --decimate 10 --out north
+      navfilter identify still.csv --column heading --rate-hz 8 --online --window 4000 --out tracks
+      navfilter identify still.mcap --imu --out sheet
+      navfilter identify still.csv --imu --rate-hz 200 --gyro wx,wy,wz --gyro-unit deg/s --out sheet
+    """
     if not 0 <= options.difference <= 2:
         raise ValueError(f"--difference must be 0, 1 or 2, found {options.difference}.")
     if not options.reject >= 0.0:

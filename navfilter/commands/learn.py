@@ -15,38 +15,6 @@ if TYPE_CHECKING:
 
 OK, AS_IT_WAS = 0, 1
 
-ABOUT = "learn from several dives how the sensors err, into a vehicle.toml for the next dive"
-EPILOG = """\
-A dive tells by the fixes that come after its gaps how well the vehicle is described: a filter that believes too much of
-its DVL misses them by more than it says. One fix at the end of each dive suffices. vehicle.toml's numbers are the
-prior: the standard deviations of the quick and the slow errors of each sensor, within a factor of two. Some seventy
-descriptions about it are tried for each sensor, and for all at once. What is written has the mean variances of the
-posterior, so that one dive changes little and four much.
-
-An example: four dives of an hour, fixes before and after each, a DVL that is described by its data sheet.
-
-  navfilter learn dive_01 dive_02 dive_03 dive_04 --vehicle vehicle.toml --out learnt.toml
-  navfilter replay dive_05 --vehicle learnt.toml --smooth --out result
-  navfilter learn dive_05 --vehicle learnt.toml --out learnt.toml --force       a fifth: the four others count, too
-
-The output has a line for each dive:
-
-  dive_01: 1 fix after gaps of up to 3600 s, missed by 31.20 m (believed 9.70 m, NEES 5.2) -> dvl quick x 1.62
-  (within 1.80), slow x 1.31 (within 1.95)
-
-NEES is the squared miss over what was believed of it; 1 is honest. Every number within a factor of two tells nothing
-yet: that was believed beforehand. Dives whose fixes never pause have no gaps: --gap 600 withholds fixes for ten minutes
-at a time, --gap inf all but the first and the last ones.
-
-written to --out:
-  learnt.toml     your vehicle.toml, comments kept, with the errors as learnt, and tables [learnt] from which the next
-                  'navfilter learn' goes on
-  learnt.html     the dives, and of each sensor the spectrum as described and as learnt with its band
-
-exit codes: 0 the dives tell something; 1 they tell nothing, the errors stay as described; 2 wrong usage or input;
-130 interrupted.
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
@@ -73,7 +41,37 @@ def _gap(text: str) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter learn``."""
+    """Learn from several dives how the sensors err, into a vehicle.toml for the next dive.
+
+    A dive tells by the fixes that come after its gaps how well the vehicle is described: a filter that believes too
+    much of its DVL misses them by more than it says. One fix at the end of each dive suffices. vehicle.toml's numbers
+    are the prior: the standard deviations of the quick and the slow errors of each sensor, within a factor of two. Some
+    seventy descriptions about it are tried for each sensor, and for all at once. What is written has the mean variances
+    of the posterior, so that one dive changes little and four much.
+
+    An example: four dives of an hour, fixes before and after each, a DVL that is described by its data sheet.
+
+      navfilter learn dive_01 dive_02 dive_03 dive_04 --vehicle vehicle.toml --out learnt.toml
+      navfilter replay dive_05 --vehicle learnt.toml --smooth --out result
+      navfilter learn dive_05 --vehicle learnt.toml --out learnt.toml --force       a fifth: the four others count, too
+
+    The output has a line for each dive:
+
+      dive_01: 1 fix after gaps of up to 3600 s, missed by 31.20 m (believed 9.70 m, NEES 5.2) -> dvl quick x 1.62
+      (within 1.80), slow x 1.31 (within 1.95)
+
+    NEES is the squared miss over what was believed of it; 1 is honest. Every number within a factor of two tells
+    nothing yet: that was believed beforehand. Dives whose fixes never pause have no gaps: --gap 600 withholds fixes for
+    ten minutes at a time, --gap inf all but the first and the last ones.
+
+    written to --out:
+      learnt.toml     your vehicle.toml, comments kept, with the errors as learnt, and tables [learnt] from which the
+                      next 'navfilter learn' goes on
+      learnt.html     the dives, and of each sensor the spectrum as described and as learnt with its band
+
+    exit codes: 0 the dives tell something; 1 they tell nothing, the errors stay as described; 2 wrong usage or input;
+    130 interrupted.
+    """
     from navfilter.calibration.over_dives import from_table, learn, to_table
     from navfilter.evaluation.over_dives_text import learnt_lines, to_dict
     from navfilter.io import read_mission, read_vehicle

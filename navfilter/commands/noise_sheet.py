@@ -17,13 +17,6 @@ if TYPE_CHECKING:
 
 OK, FOUND = 0, 1
 
-EPILOG = """\
---imu takes all axes of an inertial unit at once, from a mission, a log (ROS bag, PX4, ArduPilot) or a table, uses what
-of the record is at rest, and makes a noise sheet: angle and velocity random walk, bias instability, rate random walk,
-quantisation, lines, Allan deviations, in the units of data sheets and with uncertainties, and the [drive] table of a
-vehicle.toml. Exit code 1 when the record is not at rest.
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of a noise sheet."""

@@ -9,18 +9,6 @@ from navfilter.commands.console import speaker
 
 OK, FOUND = 0, 1
 
-ABOUT = "write a commented vehicle.toml to start from, or say what one describes and whether it is plausible"
-EPILOG = """\
---check prints the drive, the sensors with their error models in plain words, the number of states, and warns of numbers
-that look like another unit than their key says. Exit code: 0 all is well, 1 something looks wrong, 2 the file cannot be
-read.
-
-examples:
-  navfilter vehicle --init                                  writes vehicle.toml here
-  navfilter vehicle --init dive_042 --drive dead-reckoning  into a folder, for a vehicle without an inertial unit
-  navfilter vehicle --check dive_042/vehicle.toml
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
@@ -37,7 +25,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter vehicle``."""
+    """Write a commented vehicle.toml to start from, or say what one describes and whether it is plausible.
+
+    --check prints the drive, the sensors with their error models in plain words, the number of states, and warns of
+    numbers that look like another unit than their key says. Exit code: 0 all is well, 1 something looks wrong, 2 the
+    file cannot be read.
+
+    examples:
+      navfilter vehicle --init                                  writes vehicle.toml here
+      navfilter vehicle --init dive_042 --drive dead-reckoning  into a folder, for a vehicle without an inertial unit
+      navfilter vehicle --check dive_042/vehicle.toml
+    """
     return _init(options) if options.check is None else _check(options)
 
 
