@@ -14,6 +14,7 @@ from navfilter.calibration.estimate import AROUND, Estimate, estimate
 from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, kind_of, opened
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown
 from navfilter.foundation.quoting import json_value
 from navfilter.models.error_models import White
@@ -22,7 +23,6 @@ from navfilter.models.sensors import Position
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 
-Array = NDArray[np.float64]
 #: A mission that leaves more of the prior's sd than this share has not told a constant.
 UNTOLD = 0.8
 #: Rounds of an estimate that begins at that from everything.

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.consistency import figures_of
 from navfilter.filter.records import Residuals
 from navfilter.foundation.arguments import intervals, needs, within
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.quoting import json_value
 from navfilter.models.mission import Stream
 from navfilter.track.track import Track
@@ -23,7 +23,6 @@ from navfilter.track.track import Track
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
 
 #: Rows of the table that need a truth: name, key, format, whether a ratio to the baseline makes sense.

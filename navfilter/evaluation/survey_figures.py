@@ -8,13 +8,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from navfilter.foundation.arrays import Array
 from navfilter.track.heave import heave
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 #: Orders of IHO S-44 (edition 6) -> total horizontal and vertical uncertainty that it allows at depth 0, 95 % [m]. In
 #: deep water they allow more; 1a and 1b are alike in both.

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from navfilter.foundation.arrays import Array
 from navfilter.identification.noise_terms import NoiseFit
 from navfilter.timeseries.diagnostics import allan_deviation, allan_edf
-
-Array = NDArray[np.float64]
 
 #: Averages per decade.
 PER_DECADE = 8

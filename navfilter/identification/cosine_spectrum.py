@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: Bands per decade of frequency.
 PER_DECADE = 12

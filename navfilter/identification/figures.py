@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification
 from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line
 from navfilter.timeseries.diagnostics import WT_WHITE, acf, pacf
 from navfilter.timeseries.roots import root_sd
-
-Array = NDArray[np.float64]
 
 SAMPLE, MODEL, GREY = COLOURS[1], COLOURS[5], "#777777"
 LAGS = 50

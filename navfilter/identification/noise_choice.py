@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from navfilter.identification.cosine_spectrum import Bands
 from navfilter.identification.noise_terms import NoiseFit, fit_terms
-
-Array = NDArray[np.float64]
 
 #: A term is shown where it raises twice the logarithm of the likelihood by so much: one false term in 140 records,
 #: because half of the records without it would have it negative.

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.foundation.display import Shown
 from navfilter.identification.allan_curve import AllanCurve, allan_curve
@@ -22,7 +22,6 @@ from navfilter.identification.static_detection import bridged_rest, moving_toget
 from navfilter.io.inertial import ImuRecord
 from navfilter.models.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
 
-Array = NDArray[np.float64]
 Say = Callable[[str], Any]
 
 #: A gyro whose mean differs by more from one stretch to another turns [rad/s]: no bias changes by half a degree a

@@ -10,16 +10,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.identification.noise_sheet import AxisSheet, NoiseSheet
 from navfilter.identification.noise_sheet_text import allan_rows, drive_toml, groups, rows, sheet_dict
 from navfilter.identification.report import write_page
 from navfilter.io.inertial import ImuRecord
 from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
 from navfilter.rendering.page import escape, heading_html, list_html, table_html
-
-Array = NDArray[np.float64]
 
 _MARKS = ("o", "s", "^")
 #: Two-sided density to the units in which gyros and accelerometers are drawn.

@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
+from navfilter.foundation.arrays import Array
 from navfilter.identification.cosine_spectrum import Bands, shape
-
-Array = NDArray[np.float64]
 
 #: How far a logarithm may go from where the search begins.
 FAR = 40.0

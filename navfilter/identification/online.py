@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.quoting import json_value
 from navfilter.identification.conditioning import Conditioned, condition
 from navfilter.identification.report import write_page
@@ -24,8 +25,6 @@ from navfilter.rendering.page import table_text
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.online.order_bank import ArmaBank
 from navfilter.timeseries.online.recursive import RecursiveArma
-
-Array = NDArray[np.float64]
 
 #: Looks at the estimate per window.
 LOOKS = 8

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal, stats
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: Samples of a segment at most, and segments at least.
 SEGMENT, SEGMENTS = 16384, 8

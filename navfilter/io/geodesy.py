@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 # WGS-84 defining constants (NIMA TR8350.2, 2000).
 SEMI_MAJOR_M = 6378137.0

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.foundation.arguments import within
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
@@ -37,7 +38,6 @@ from navfilter.models.during import During
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 from navfilter.models.state import euler_from_matrix, wrap
 
-Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 #: More than a month at 100 Hz.

@@ -16,16 +16,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.foundation.display import Value
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.continuous import gauss_markov
 from navfilter.timeseries.roots import is_stable
 from navfilter.timeseries.stationary import stationary_covariance
-
-Array = NDArray[np.float64]
 
 #: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42,
 #: corrected).

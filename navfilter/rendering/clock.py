@@ -6,13 +6,11 @@ import datetime
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 
 class Clock:

@@ -13,13 +13,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.panels import Band, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.rendering.thinning import broken, envelope, extremes
-
-Array = NDArray[np.float64]
 
 #: Told apart by people who see few colours, and in grey by their brightness (after Okabe and Ito, 2008).
 COLOURS = ("#e69f00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")

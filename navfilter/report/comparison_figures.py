@@ -8,16 +8,15 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.consistency import LAGS, innovation_series
+from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack
 from navfilter.timeseries.diagnostics import acf
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
@@ -20,7 +20,6 @@ from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Points, S
 from navfilter.rendering.thinning import broken
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 
 #: How the truth is drawn.

@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
@@ -26,8 +26,6 @@ from navfilter.rendering.panels import short
 from navfilter.report.chart import Chart, chart_of
 from navfilter.report.figures import TRUTH, capped
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 #: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.
 ELLIPSE_95 = float(np.sqrt(chi_square_limit(0.95, 2)))

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.vehicle import Vehicle
@@ -18,7 +18,6 @@ from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack, short
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: Of residuals of the drive, under their figure.
 STEPS = (
     "{name}: residuals of what drives (smoothed run): the step that it would have had to say too much at each time for "

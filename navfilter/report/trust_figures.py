@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Line, Mark, Panel, Part, Stack, short
 from navfilter.track.track import Track
 from navfilter.track.trust import DegradedInterval, spells
-
-Array = NDArray[np.float64]
 
 #: Told apart in grey by their brightness.
 HUES = {"degraded": "#e69f00", "lost": "#8b1a1a"}

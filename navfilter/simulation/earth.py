@@ -10,12 +10,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.truth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS_M, radii
-
-Array = NDArray[np.float64]
 
 EARTH_RATE_RAD_S = 7.292115e-5
 GRAVITY_EQUATOR_M_S2 = 9.7803253359

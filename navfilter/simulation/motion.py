@@ -14,14 +14,13 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.truth import Kinematics, wrapped
 from navfilter.simulation.earth import frame_rates, gravity, integrate_path
 from navfilter.simulation.manoeuvres import BLEND, Manoeuvre, Piece, descent
-
-Array = NDArray[np.float64]
 
 _KNOT_STEP_S = 0.2
 _CHUNK = 50_000  # samples evaluated at once: bounds the memory of a day at 100 Hz

@@ -6,9 +6,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: Time constants in a period, beyond which it is no longer: nothing is left of the process then.
 LONGEST = 350.0

@@ -6,16 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, few
 from navfilter.timeseries.likelihood import GapFree, Objective, Point, WithGaps, minimise
 from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.order_criterion import CRITERIA, criterion
 from navfilter.timeseries.regression import PART, Problem
 from navfilter.timeseries.roots import resolved_radius
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.roots import slowest_real
 from navfilter.timeseries.spectral import spectral_factor
-
-Array = NDArray[np.float64]
 
 
 def resample_arma(model: ArmaModel, m: int) -> ArmaModel:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.initial_values import default_long_order, hannan_rissanen_start, long_residuals, tidy_series
 from navfilter.timeseries.likelihood import GapFree, Objective, WithGaps
 from navfilter.timeseries.roots import pull_inside
 
-Array = NDArray[np.float64]
 _DEGREE = {"none": -1, "constant": 0, "linear": 1}
 # A long series is first fitted on this many samples, which costs little and leaves few steps for the whole.
 PART = 10_000

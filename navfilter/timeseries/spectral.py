@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: Largest misfit of a factor, relative to lag 0: beyond it there is none.
 ACCEPTED = 1e-6

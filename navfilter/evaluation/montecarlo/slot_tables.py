@@ -9,14 +9,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
 from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.page import table_text
-
-Array = NDArray[np.float64]
 
 #: By reference: what is divided by its own.
 _RATIOS = {

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+
 #: Value, lower end, upper end.
 Estimate = tuple[float, float, float]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.bars import JUDGED, Bar, bar_table, bars
 from navfilter.evaluation.montecarlo.campaign import Results
@@ -29,9 +28,8 @@ from navfilter.evaluation.montecarlo.statistics import (
     share_interval,
 )
 from navfilter.evaluation.montecarlo.store import write_whole
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.page import table_text
-
-Array = NDArray[np.float64]
 
 #: Models that the others are divided by.
 REFERENCES = ("gm1-fitted", "oracle")

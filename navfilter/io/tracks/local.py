@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
 from navfilter.track.track import Track
 
-Array = npt.NDArray[np.float64]
 Origin = tuple[float, float, float]
 
 #: North, east, down -> east, north, up.

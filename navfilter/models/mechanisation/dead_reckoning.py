@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, RandomWalk, White, per_axis
@@ -27,7 +27,6 @@ from navfilter.models.sensors.velocity import VELOCITY
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
-Array = NDArray[np.float64]
 #: Where the kernels look for states that a drive may have, and the first of each.
 FIRST_PARAMETERS = {
     strapdown.DEVIATION: "yaw.one_cycle_sin",

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.mechanisation.imu import Imu
 from navfilter.models.sensors.traits import Doubt
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
