@@ -40,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_force_argument(parser)
     console.add_limit_argument(parser)
     console.add_reading_arguments(parser)
-    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -104,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_simulate(commands)
     _add_check(commands)
     _add(commands, mission, vehicle)
-    _add_warmup(commands)
+    _command(commands, "warmup", _warmup)
     return parser
 
 
@@ -135,6 +135,7 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int])
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run, compiled=True)
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     return parser
 
 
@@ -150,7 +151,6 @@ def _add_simulate(commands: Any) -> None:
     console.add_force_argument(parser)
     add("--seed", type=console.whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
     add("--duration", type=console.positive, metavar="S", help="length in seconds (default: that of the scenario)")
-    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -197,7 +197,6 @@ def _add_check(commands: Any) -> None:
     parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     console.add_reading_arguments(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -250,11 +249,6 @@ def _of_a_log(path: Path, say: Callable[[str], None], limit: int) -> Any:
 
 
 # --- warmup ---------------------------------------------------------------------------------------------------------
-
-
-def _add_warmup(commands: Any) -> None:
-    parser = _command(commands, "warmup", _warmup)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _warmup(options: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from navfilter.evaluation.comparison import Comparison
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
-    from navfilter.track.track import Track
+    from navfilter.track.track import Track, Tracks
 
 DEFAULT = "white,gm1,gm1-fitted,arma"
 #: What ratios refer to: the first of these that is among the models, else the first model.
@@ -41,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
     console.add_force_argument(parser)
     console.add_reading_arguments(parser)
-    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -174,7 +173,7 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
 
 
 def compare_tracks(
-    tracks: Mapping[str, Track],
+    tracks: Tracks,
     mission: Mission,
     vehicle: Vehicle,
     sensors: Sequence[str] | None = None,
@@ -192,7 +191,7 @@ def compare_tracks(
     return dataclasses.replace(result, remarks=remarks)
 
 
-def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
+def _kept(tracks: Tracks, vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
     """One line on the axes for which a run was to have another model and had none, for want of readings."""
     kept: dict[str, list[str]] = {}
     for label in [name for name in tracks if name not in ("vehicle", "oracle")]:
@@ -221,9 +220,7 @@ def print_comparison(comparison: Comparison, mission: Mission) -> None:
         console.show("(no truth in this mission: only what the readings themselves tell)")
 
 
-def write_results(
-    comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool
-) -> None:
+def write_results(comparison: Comparison, tracks: Tracks, mission: Mission, folder: Path, quiet: bool) -> None:
     """Write report.html, comparison.csv and summary.json."""
     from navfilter.evaluation.comparison import compare
     from navfilter.io.write import write_json

@@ -67,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "its window in samples (default: %(default)s)"
     model.add_argument("--window", type=console.count, default=4000, metavar="W", help=about)
     parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _unit(text: str) -> str:

@@ -33,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-report", action="store_false", dest="report", help="no page with pictures")
     console.add_force_argument(parser)
     console.add_reading_arguments(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _gap(text: str) -> float:

@@ -23,7 +23,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
     parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
     add_unpacking_argument(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: argparse.Namespace) -> int:

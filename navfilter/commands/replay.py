@@ -32,7 +32,6 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=console.whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
     add("--duration", type=console.positive, metavar="S", help="length of the mission in seconds (default: one hour)")
     console.add_force_argument(parser)
-    add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 
@@ -136,7 +135,6 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     add("--workers", type=console.whole, metavar="N", help=about)
     about = "no report.html: drawing its figures takes longer than the filter and smoother do"
     add("--no-report", action="store_false", dest="report", help=about)
-    add("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 

@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "with --listen: a client without a reading for so long loses its place to one that comes (default: 10)"
     add("--client-timeout", type=positive, default=10.0, metavar="S", help=about)
     add("--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor")
-    add("--quiet", action="store_true", help="print nothing but errors to standard error")
 
 
 def _date(text: str) -> datetime.date:

@@ -20,8 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "with --init: what carries the state (default: %(default)s)"
     parser.add_argument("--drive", choices=("imu", "imus", "dead-reckoning"), default="imu", help=about)
     parser.add_argument("--force", action="store_true", help="with --init: replace a file that is there")
-    about = "print nothing but errors; of --check only the exit code counts"
-    parser.add_argument("--quiet", action="store_true", help=about)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.models.mission import Mission
 from navfilter.playback.backward import Apart, apart
 from navfilter.playback.held_out import Score, Withheld, drift, score
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Assessment:
 
 
 def assess(
-    tracks: Mapping[str, Track],
+    tracks: Tracks,
     mission: Mission,
     withheld: Sequence[Withheld] = (),
     limits: Sequence[tuple[str, float, str]] = (),

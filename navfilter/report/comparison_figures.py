@@ -5,7 +5,6 @@ learnt.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack
 from navfilter.timeseries.diagnostics import acf
-from navfilter.track.track import Track
-
-Tracks = Mapping[str, Track]
+from navfilter.track.track import Tracks
 
 
 def heading_against_sigma(tracks: Tracks, truth: Stream) -> Stack:

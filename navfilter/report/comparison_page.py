@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -19,9 +19,8 @@ from navfilter.rendering.panels import Mark, Stack
 from navfilter.report import comparison_figures, figures, learnt_figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import Plan, plan_view
-from navfilter.track.track import Track
+from navfilter.track.track import Tracks
 
-Tracks = Mapping[str, Track]
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 8
 

@@ -5,7 +5,6 @@ for print.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from navfilter.rendering.drawing import WIDTH_IN, colour, no_formula
 from navfilter.rendering.panels import short
 from navfilter.report.chart import Chart, chart_of
 from navfilter.report.figures import TRUTH, capped
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 
 #: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.
 ELLIPSE_95 = float(np.sqrt(chi_square_limit(0.95, 2)))
@@ -105,7 +104,7 @@ class Plan:
 
 
 def plan_view(
-    tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16, tiles: str | os.PathLike[str] | None = None
+    tracks: Tracks, mission: Mission, ellipses: int = 16, tiles: str | os.PathLike[str] | None = None
 ) -> Plan:
     """Collect what the plan view shows.
 

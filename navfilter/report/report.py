@@ -35,9 +35,8 @@ from navfilter.report.plan_view import plan_view
 from navfilter.report.run_tables import headline_rows, sensor_rows
 from navfilter.report.sensor_sections import sensor_sections
 from navfilter.report.trust_figures import spell_rows, trust_figure
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 
-Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 
 _SURFACING = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 from navfilter.evaluation.learned_text import LearnedText
@@ -12,9 +12,7 @@ from navfilter.rendering.panels import Mark, Stack
 from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.marks import adoptions, outages
-from navfilter.track.track import Track
-
-Tracks = Mapping[str, Track]
+from navfilter.track.track import Track, Tracks
 
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 6

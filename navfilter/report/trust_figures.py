@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from navfilter.models.mission import Stream
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Line, Mark, Panel, Part, Stack, short
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 from navfilter.track.trust import DegradedInterval, spells
 
 #: Told apart in grey by their brightness.
@@ -28,7 +26,7 @@ _WITH_TRUTH = "Dotted: where the truth was. "
 _SHADES = "Shaded: times in which something spoke against the state; darker, it was lost."
 
 
-def trust_figure(tracks: Mapping[str, Track], truth: Stream | None) -> tuple[Stack, str] | None:
+def trust_figure(tracks: Tracks, truth: Stream | None) -> tuple[Stack, str] | None:
     """Protection radius and bound of the heading of every forward run, with its caption; None where there are none.
 
     Parameters

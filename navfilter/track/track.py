@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -506,3 +507,7 @@ def _in_words(errors: Array, unit: str) -> str | None:
     if not len(known):
         return None
     return f"{math.sqrt(float(np.mean(known**2))):.3g} rms, {known.max():.3g} at most [{unit}]"
+
+
+#: Runs by label.
+Tracks = Mapping[str, Track]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.evaluation.montecarlo.slot_tables import SlotRow, named
 from navfilter.evaluation.montecarlo.slots import SURPRISED_S
+from navfilter.evaluation.montecarlo.statistics import interval_text
 from navfilter.rendering.page import table_text
 
 #: The model that is judged.
@@ -165,7 +166,5 @@ def _verdict(bar: Bar | None) -> str:
     if bar is None:
         return "-"
     form, factor = (".2f", 100.0) if bar.quantity.startswith("beyond") else (".3f", 1.0)
-    value = format(factor * bar.value, form)
-    if math.isfinite(bar.low):
-        value += f" ({format(factor * bar.low, form)}..{format(factor * bar.high, form)})"
-    return f"{value} {'PASS' if bar.met else 'miss'}"
+    text = interval_text(factor * bar.value, factor * bar.low, factor * bar.high, form)
+    return f"{text} {'PASS' if bar.met else 'miss'}"

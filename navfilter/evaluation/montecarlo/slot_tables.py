@@ -12,7 +12,7 @@ import numpy as np
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
-from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval
+from navfilter.evaluation.montecarlo.statistics import Estimate, estimate, interval_text, ratio_interval
 from navfilter.foundation.arrays import Array
 from navfilter.rendering.page import table_text
 
@@ -79,8 +79,8 @@ def slot_rows(results: Results) -> list[SlotRow]:
     for m, model in enumerate(results.models):
         for t, track in enumerate(results.tracks):
             for s, (begin, end) in enumerate(cut):
-                for quantity, reference, estimate, runs in _figures(results.models, values[:, t, :, s], m):
-                    found.append(SlotRow(model, track, begin, end, quantity, reference, *estimate, runs=runs))
+                for quantity, reference, found_as, runs in _figures(results.models, values[:, t, :, s], m):
+                    found.append(SlotRow(model, track, begin, end, quantity, reference, *found_as, runs=runs))
     return found
 
 
@@ -104,20 +104,11 @@ def _figures(models: tuple[str, ...], values: Array, m: int) -> Iterator[tuple[s
         own = values[m, :, q]
         if not np.isfinite(own).any():
             continue
-        yield quantity, "", _estimate(quantity, own), int(np.isfinite(own).sum())
+        yield quantity, "", estimate(quantity, own), int(np.isfinite(own).sum())
         for reference, compared in _RATIOS.items():
             if quantity in compared and reference in models and reference != models[m]:
                 other = values[models.index(reference), :, q]
                 yield quantity, reference, _ratio(quantity, own, other), int(np.isfinite(own + other).sum())
-
-
-def _estimate(quantity: str, values: Array) -> Estimate:
-    if "rms" in quantity:
-        return rms_interval(values)
-    value, low, high = mean_interval(values)
-    # with few runs Student's interval does not know that squares are not negative, and no share is more than all
-    most = 1.0 if quantity.startswith("beyond") else math.inf
-    return value, max(low, 0.0) if math.isfinite(low) else low, min(high, most) if math.isfinite(high) else high
 
 
 def _ratio(quantity: str, values: Array, others: Array) -> Estimate:
@@ -140,15 +131,15 @@ def slot_table(results: Results, found: Iterable[SlotRow]) -> str:
     for track in results.tracks:
         for what, columns in _TABLES.items():
             there = [c for c in columns if not c[1] or (c[1] in results.models and len(results.models) > 1)]
-            lines = [
-                [named(*slot), model, *(_cell(by.get((track, *slot, model, c[0], c[1])), c[3], c[4]) for c in there)]
-                for slot in cut
-                for model in results.models
-            ]
+            lines = []
+            for slot in cut:
+                for model in results.models:
+                    of = (track, *slot, model)
+                    values = (
+                        factor * by.get((*of, key, reference), math.nan) for key, reference, _, _, factor in there
+                    )
+                    cells = (interval_text(value, form=c[3]) for value, c in zip(values, there, strict=True))
+                    lines.append([named(*slot), model, *cells])
             header = ["slot", "model", *(title for _, _, title, _, _ in there)]
             parts.append(f"{what} by slots, {track}\n{table_text(header, lines)}")
     return "\n\n".join(parts)
-
-
-def _cell(value: float | None, form: str, factor: float) -> str:
-    return "-" if value is None or not math.isfinite(value) else format(factor * value, form)

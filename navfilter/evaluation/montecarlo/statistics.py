@@ -115,6 +115,31 @@ def share_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
     return p, max(centre - half, 0.0), min(centre + half, 1.0)
 
 
+def estimate(quantity: str, values: ArrayLike) -> Estimate:
+    """A figure of a campaign by its kind: a root mean square, a share of the runs, or a mean."""
+    if "rms" in quantity or quantity == "end_m":
+        return rms_interval(values)
+    if quantity in ("white", "adopted"):
+        return share_interval(values)
+    value, low, high = mean_interval(values)
+    # with few runs Student's interval does not know that no figure is negative, and that no share is more than all
+    most = 1.0 if quantity.startswith("beyond") else math.inf
+    return value, max(low, 0.0) if math.isfinite(low) else low, min(high, most) if math.isfinite(high) else high
+
+
+def interval_text(value: float, low: float = math.nan, high: float = math.nan, form: str = ".3f") -> str:
+    """A value with its interval, as far as there are any.
+
+    Examples
+    --------
+    >>> interval_text(1.0, 0.5, 2.0, ".1f"), interval_text(1.0), interval_text(math.nan)
+    ('1.0 (0.5..2.0)', '1.000', '-')
+    """
+    if not math.isfinite(value):
+        return "-"
+    return format(value, form) + (f" ({format(low, form)}..{format(high, form)})" if math.isfinite(low) else "")
+
+
 def chi_square_band(runs: int, dof: int, level: float = 0.95) -> tuple[float, float]:
     """Band in which the mean over independent runs of an honest NEES per degree of freedom lies (Bar-Shalom et al.,
     2001, sec. 5.4).
