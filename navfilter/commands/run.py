@@ -135,10 +135,9 @@ def _open_standard_descriptors() -> list[int]:
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     from navfilter.io import read_vehicle
-    from navfilter.service.loop import replay_log
+    from navfilter.service.loop import Service, replay_log
     from navfilter.service.loop import run as run_loop
     from navfilter.service.session import Options
-    from navfilter.service.setup import Service
     from navfilter.service.waterlinked import waterlinked
 
     _check(options)
