@@ -18,7 +18,7 @@ from navfilter.models.scaled_errors import larger
 from navfilter.navigation.navigator import Navigator
 from navfilter.playback.instructions import instructed
 from navfilter.playback.replay import replay
-from navfilter.report.marks import outages
+from navfilter.report.report import outages
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.track.trust import spells
 

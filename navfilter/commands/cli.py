@@ -164,8 +164,7 @@ def _simulate(options: argparse.Namespace) -> int:
       navfilter simulate --list
       navfilter simulate lawnmower --seed 3 --duration 900 --out dive
     """
-    from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
-    from navfilter.simulation.truth import true_vehicle
+    from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario, true_vehicle
 
     if options.list:
         width = max(map(len, SCENARIOS))

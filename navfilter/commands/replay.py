@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands import console, formats, mission_part
+from navfilter.commands import console, mission_part
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
@@ -21,8 +21,21 @@ if TYPE_CHECKING:
     from navfilter.playback.held_out import Withheld
     from navfilter.track.track import Track
 
+
+from typing import TYPE_CHECKING
+
+from navfilter.io.tracks.formats import FORMATS, is_nowhere
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from navfilter.models.mission import Mission
+    from navfilter.track.track import Track
+
 #: Exit codes of a run whose track is not to be trusted, and of one that nothing in the mission can judge.
 NOT_TRUSTED, NOT_JUDGED = 1, 3
+#: What every replay writes of a track, for the text of a help.
+_FILES = "\n".join(f"  {'track' + form.suffix:15} {form.about}" for form in FORMATS if form.always)
 
 
 def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +45,7 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=console.whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
     add("--duration", type=console.positive, metavar="S", help="length of the mission in seconds (default: one hour)")
     console.add_force_argument(parser)
-    formats.add_arguments(parser)
+    _add_formats(parser)
 
 
 #: What the demonstration compares; the third is the result.
@@ -61,11 +74,10 @@ def demo(options: argparse.Namespace) -> int:
     folder = console.output_folder(options.out, options.force)
     say = console.speaker(options.quiet)
     say("simulating the mission ...")
-    from navfilter.simulation.scenarios import simulate_scenario
-    from navfilter.simulation.truth import true_vehicle
+    from navfilter.simulation.scenarios import simulate_scenario, true_vehicle
 
     vehicle, mission = simulate_scenario("demo", options.seed, options.duration)
-    formats.check(options, mission)
+    _check_formats(options, mission)
     truth = true_vehicle("demo", options.duration)
     save(vehicle, mission, folder / "mission.npz", folder / "vehicle.toml", truth)
     errors = None if truth is None else compare_command.true_errors(vehicle, truth)
@@ -128,14 +140,14 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     about = "run the mission from its end to its beginning too, independently, and hold both runs against each other"
     add("--backward", action="store_true", help=about)
     mission_part.add_arguments(parser)
-    parser.epilog = (parser.epilog or "").replace("<files>", formats.FILES)
+    parser.epilog = (parser.epilog or "").replace("<files>", _FILES)
     about = "rows of the track per second; all: one at every sample of the drive (default: %(default)s)"
     add("--output-rate", type=console.row_rate, default=5.0, metavar="HZ", help=about)
     about = "processes for several MISSIONs (default: as many as there are processors)"
     add("--workers", type=console.whole, metavar="N", help=about)
     about = "no report.html: drawing its figures takes longer than the filter and smoother do"
     add("--no-report", action="store_false", dest="report", help=about)
-    formats.add_arguments(parser)
+    _add_formats(parser)
 
 
 def replay(options: argparse.Namespace) -> int:
@@ -213,7 +225,7 @@ def replay_one(options: argparse.Namespace) -> int:
     mission = mission_part.with_instructions(options, console.read(options))
     vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), mission)
     mission, withheld = mission_part.select(options, mission, vehicle)
-    formats.check(options, mission)
+    _check_formats(options, mission)
     if limits := console.limits_of(options):  # a mistake in them shall not cost a replay
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
@@ -286,7 +298,7 @@ def _write(
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
     result = list(tracks.values())[-1]
-    written += formats.write_own_formats(options, result, folder)
+    written += _write_own_formats(options, result, folder)
     report = folder / "report.html"
     if drawn:
         from navfilter.io.tracks.reading import read_track
@@ -332,3 +344,52 @@ def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assess
         console.show(lights_text(assessment.lights))
     console.show(f"\n{assessment.verdict}")
     console.show(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")
+
+
+# --- further files of the track -------------------------------------------------------------------------------------
+
+
+def _add_formats(parser: argparse.ArgumentParser) -> None:
+    """Add an option for each further format of the track, from their one table."""
+    group = parser.add_argument_group(
+        "further files of the track, for other programs (in Python: nf.write_track(track, 'dive.kml'))"
+    )
+    for form in FORMATS:
+        if not form.always:
+            needs = [f'pip install "navfilter[{form.extra}]"'] * bool(form.extra) + ["needs UTC"] * form.utc
+            group.add_argument(
+                f"--{form.name}",
+                dest="formats",
+                action="append_const",
+                const=form.name,
+                default=[],
+                help=f"track{form.suffix}, {form.about}" + (f" ({'; '.join(needs)})" if needs else ""),
+            )
+    about = "a table of your own: its file name, separators and columns, see 'Files for other programs' in the manual"
+    group.add_argument("--format", dest="own_formats", action="append", default=[], metavar="TOML", help=about)
+
+
+def _write_own_formats(options: argparse.Namespace, track: Track, folder: Path) -> list[Path]:
+    """The tables of ``--format``."""
+    from navfilter.io.tracks.own_columns import read_format, write_own
+
+    return [write_own(track, folder, read_format(path)) for path in options.own_formats]
+
+
+def _check_formats(options: argparse.Namespace, mission: Mission) -> None:
+    """Refuse before the run what could not be written after it.
+
+    Raises
+    ------
+    ValueError
+        See `navfilter.io.tracks.formats.TrackFormat.check`.
+    """
+    for path in options.own_formats:
+        from navfilter.io.tracks.own_columns import read_format
+
+        read_format(path)
+    start = mission.start
+    nowhere = start is not None and is_nowhere(start.latitude_deg, start.longitude_deg)
+    for form in FORMATS:
+        if form.name in options.formats:
+            form.check(mission, nowhere)

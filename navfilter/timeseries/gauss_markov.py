@@ -18,9 +18,8 @@ from scipy.optimize import brentq, minimize_scalar
 from navfilter.foundation.arguments import numbers
 from navfilter.foundation.arrays import Array
 from navfilter.timeseries.diagnostics import acf
-from navfilter.timeseries.fit import fitted
+from navfilter.timeseries.fit import Problem, fitted
 from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.regression import Problem
 from navfilter.timeseries.spectral import spectral_factor
 
 

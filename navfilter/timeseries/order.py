@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value
 from navfilter.timeseries.diagnostics import Whiteness, whiteness
-from navfilter.timeseries.fit import ArmaFit, fitted
+from navfilter.timeseries.fit import ArmaFit, Problem, fitted
 from navfilter.timeseries.likelihood import Objective, Point, minimise
 from navfilter.timeseries.order_criterion import Choice
-from navfilter.timeseries.regression import Problem
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,7 +1,7 @@
 """What drives the state between corrections: an inertial unit, or attitude and body velocity."""
 
 from navfilter.models.mechanisation.dead_reckoning import DeadReckoning as DeadReckoning
-from navfilter.models.mechanisation.dead_reckoning_lane import DeadReckoningLane as DeadReckoningLane
+from navfilter.models.mechanisation.dead_reckoning import DeadReckoningLane as DeadReckoningLane
 from navfilter.models.mechanisation.imu import ACCEL_PRIOR as ACCEL_PRIOR
 from navfilter.models.mechanisation.imu import GYRO_PRIOR as GYRO_PRIOR
 from navfilter.models.mechanisation.imu import Imu as Imu
