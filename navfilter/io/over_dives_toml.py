@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 
 from navfilter.foundation.quoting import toml_key, toml_text
-from navfilter.io.calibrated_toml import Unclear, edited
+from navfilter.io.toml_editing import UNCLEAR, with_keys
 from navfilter.io.vehicle_toml import (
-    VehicleError,
     described_text,
     error_text,
     read_vehicle,
@@ -72,12 +71,12 @@ def write_over_dives(
             text = re.sub(r"^# learnt over [^\n]* by navfilter learn[^\n]*\n", "", _TABLES.sub("", text), flags=re.M)
             for name in table["sensors"]:
                 for part, key, value in _places(vehicle, name):
-                    text = edited(text, part, {key: f"{key} = {value}"}, remark)
+                    text = with_keys(text, part, {key: (key, value)}, remark)
             path.write_text(f"{text.rstrip()}\n\n{_learnt_text(table)}", encoding="utf-8")
             back = read_vehicle(path)
             if back.driving == vehicle.driving and dict(back.sensors) == dict(vehicle.sensors):
                 return True
-        except (Unclear, VehicleError):
+        except UNCLEAR:
             pass
     write_vehicle(vehicle, path)
     with path.open("a", encoding="utf-8") as file:
