@@ -10,7 +10,6 @@ import pytest
 
 import navfilter as nf
 from navfilter.commands.cli import main
-from navfilter.identification.cosine_spectrum import bands_of, shape
 from navfilter.identification.noise_sheet import (
     NotAtRest,
     allan_curve,
@@ -23,7 +22,7 @@ from navfilter.identification.noise_sheet import (
     usable,
 )
 from navfilter.identification.noise_sheet_text import plus_minus, sheet_text
-from navfilter.identification.noise_terms import fit_terms
+from navfilter.identification.noise_terms import bands_of, fit_terms, shape
 from navfilter.identification.static_detection import moving_together, stillness
 from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
 from navfilter.io.series import on_a_grid

@@ -230,7 +230,7 @@ def replay_one(options: argparse.Namespace) -> int:
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
     if options.tiles:
-        from navfilter.report.chart import check_tiles
+        from navfilter.report.plan_view import check_tiles
 
         check_tiles(Path(options.tiles))
     folder = console.output_folder(options.out, options.force)

@@ -15,8 +15,7 @@ from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.foundation.display import Shown
 from navfilter.identification.conditioning import quantisation_step
-from navfilter.identification.cosine_spectrum import Bands, bands_of
-from navfilter.identification.noise_terms import NoiseFit, fit_terms
+from navfilter.identification.noise_terms import Bands, NoiseFit, bands_of, fit_terms
 from navfilter.identification.static_detection import bridged_rest, moving_together, stillness, without_defects
 from navfilter.io.inertial import ImuRecord
 from navfilter.models.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL

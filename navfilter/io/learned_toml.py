@@ -97,7 +97,7 @@ def _with_adopted(value: Any, model: ErrorModel) -> Any:
     part = learned_part(model)
     if part is None:
         return value
-    tables = [value] if isinstance(value, dict) else value
+    tables: list[Any] = [value] if isinstance(value, dict) else value
     table = next(table for table in tables if table["model"] == "learned-arma")
     for key in ("adopted", "slow", "frozen"):
         table.pop(key, None)

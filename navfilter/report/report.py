@@ -80,7 +80,7 @@ def write_report(
     beside : dict of str to Track, optional
         Other runs by label, shown with these over time and from above.
     tiles : path-like, optional
-        For a chart under the track, see `navfilter.report.chart.chart_of`.
+        For a chart under the track, see `navfilter.report.plan_view.chart_of`.
     """
     with replacing(path) as file:
         file.write(render_report(tracks, mission, progress, assessment, beside, tiles))

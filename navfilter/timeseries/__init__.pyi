@@ -25,6 +25,6 @@ from navfilter.timeseries.polynomials import BiasPlusWhite as BiasPlusWhite
 from navfilter.timeseries.polynomials import add_arma as add_arma
 from navfilter.timeseries.polynomials import bias_plus_white as bias_plus_white
 from navfilter.timeseries.polynomials import resample_arma as resample_arma
+from navfilter.timeseries.polynomials import spectral_factor as spectral_factor
 from navfilter.timeseries.polynomials import split_bias as split_bias
 from navfilter.timeseries.roots import is_stable as is_stable
-from navfilter.timeseries.spectral import spectral_factor as spectral_factor

@@ -20,7 +20,7 @@ from navfilter.foundation.arrays import Array
 from navfilter.timeseries.diagnostics import acf
 from navfilter.timeseries.fit import Problem, fitted
 from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.spectral import spectral_factor
+from navfilter.timeseries.polynomials import spectral_factor
 
 
 def gauss_markov_correlation(order: int, beta_tau: ArrayLike) -> Array:

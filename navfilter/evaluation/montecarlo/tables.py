@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from navfilter.evaluation.montecarlo.bars import JUDGED, Bar, bar_table, bars
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
+from navfilter.evaluation.montecarlo.slot_tables import JUDGED, Bar, SlotRow, bar_table, bars, slot_rows, slot_table
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES
 from navfilter.evaluation.montecarlo.statistics import estimate, interval_text, ratio_interval
 from navfilter.evaluation.montecarlo.store import write_whole
