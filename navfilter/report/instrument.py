@@ -85,12 +85,7 @@ class Instrument:
         )
         with style():
             drawn = svg(draw(shown, self.clock))
-        number = len(self._figures)
-        self._figures.append({"item": any_item(), "keys": [], "plan": False})
-        place = (
-            f'<div class="choice">{menus}</div><div class="keys"><span></span></div><div class="live" '
-            f'id="live-{number}" data-figure="{number}" style="min-height:{ANY_HEIGHT}px"></div>'
-        )
+        place = f'<div class="choice">{menus}</div>{self._place(Live(any_item(), [], ANY_HEIGHT), False)}'
         return Section("Any against any", (self._done(figure_html(drawn, ANY, place)),))
 
     def scripts(self) -> Scripts:
