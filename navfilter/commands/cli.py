@@ -21,30 +21,6 @@ from navfilter.commands import calibrate, compare, console, identify, learn, mis
 
 OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
-_ABOUT = (
-    "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how "
-    "honest the result is."
-)
-_FIRST_STEPS = """\
-first steps:
-  navfilter demo                                  a simulated mission of one hour, replayed and smoothed
-  navfilter simulate lawnmower --out dive         make a mission to play with
-  navfilter mission --init dive.mcap --out dive   a mission.toml and a vehicle.toml for a log of yours
-  navfilter check dive/mission.npz                look for the usual mistakes in a recording
-  navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
-  navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
-  navfilter calibrate dive/mission.npz --vehicle dive/vehicle.toml --out calibrated.toml
-  navfilter learn dive_0* --vehicle vehicle.toml --out learnt.toml     how the sensors err, for the next dive
-  navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
-  navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
-
-'navfilter COMMAND --help' explains one command.
-
-exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
-replay, demo), or nothing better was found (calibrate, learn), 2 wrong usage or input, 3 the track is not judged
-(replay), 130 interrupted.
-"""
-
 
 class _Parser(argparse.ArgumentParser):
     """Wrong usage is one line on standard error."""
@@ -92,8 +68,30 @@ def _fail(text: str, code: int) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how honest
+    the result is.
+
+    first steps:
+      navfilter demo                                  a simulated mission of one hour, replayed and smoothed
+      navfilter simulate lawnmower --out dive         make a mission to play with
+      navfilter mission --init dive.mcap --out dive   a mission.toml and a vehicle.toml for a log of yours
+      navfilter check dive/mission.npz                look for the usual mistakes in a recording
+      navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
+      navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
+      navfilter calibrate dive/mission.npz --vehicle dive/vehicle.toml --out calibrated.toml
+      navfilter learn dive_0* --vehicle vehicle.toml --out learnt.toml     how the sensors err, for the next dive
+      navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
+      navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
+
+    'navfilter COMMAND --help' explains one command.
+
+    exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
+    replay, demo), or nothing better was found (calibrate, learn), 2 wrong usage or input, 3 the track is not judged
+    (replay), 130 interrupted.
+    """
+    about, _, below = (inspect.getdoc(_parser) or "").partition("\n\n")
     parser = _Parser(
-        prog="navfilter", description=_ABOUT, epilog=_FIRST_STEPS, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="navfilter", description=about, epilog=below, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
