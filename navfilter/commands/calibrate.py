@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,16 +76,16 @@ def run(options: argparse.Namespace) -> int:
     from navfilter.calibration.calibrate import calibrate, to_dict, with_reference
     from navfilter.calibration.parts import KINDS
     from navfilter.calibration.text import calibration_text
-    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io import read_vehicle
     from navfilter.io.calibrated_toml import write_calibrated
+    from navfilter.io.write import write_json
     from navfilter.playback.instructions import instructed
 
     out = Path(options.out)
     console.new_files([out, *([Path(options.json)] if options.json else [])], options.force)
     vehicle = read_vehicle(options.vehicle)
     console.limits_of(options)  # a mistake in them shall not cost a calibration
-    limits = {"confine": options.confine, "unpacked_bytes": console.unpacked_bytes(options)}
-    missions = [instructed(vehicle, read_mission(path, **limits))[1] for path in options.mission]
+    missions = [instructed(vehicle, console.read(options, path))[1] for path in options.mission]
     single, missions, unit = _of_one_unit(vehicle, missions, options.imu)
     known = single
     for k, mission in enumerate(missions if options.truth else ()):
@@ -104,8 +103,8 @@ def run(options: argparse.Namespace) -> int:
     names = ", ".join(mission.name for mission in missions)
     copied = write_calibrated(found, vehicle, out, options.vehicle, f"found by navfilter calibrate: {names}")
     if options.json:
-        Path(options.json).write_text(json.dumps(to_dict(result), indent=2) + "\n", encoding="utf-8")
-    how = "" if copied else " (laid out anew, in SI units: your file could not be edited)"
+        write_json(to_dict(result), options.json)
+    how = console.LAID_OUT_ANEW * (not copied)
     say(f"{out} written: {'with the constants found' if result.kept else 'as it was'}{how}.")
     return OK if result.kept else AS_IT_WAS
 

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from navfilter.commands import console
-
-if TYPE_CHECKING:
-    pass
 
 OK, AS_IT_WAS = 0, 1
 
@@ -73,17 +68,17 @@ def run(options: argparse.Namespace) -> int:
     """
     from navfilter.calibration.over_dives import from_table, learn, to_table
     from navfilter.evaluation.over_dives_text import learnt_lines, to_dict
-    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io import read_vehicle
     from navfilter.io.over_dives_toml import write_over_dives
     from navfilter.io.vehicle_toml import read_learnt
+    from navfilter.io.write import write_json
 
     out, page = Path(options.out), Path(options.out).with_suffix(".html")
     beside = [page] * options.report + ([Path(options.json)] if options.json else [])
     console.new_files([out, *beside], options.force)
     vehicle, table = read_vehicle(options.vehicle), read_learnt(options.vehicle)
     before = None if table is None else from_table(vehicle, table)
-    limits: dict[str, Any] = {"confine": options.confine, "unpacked_bytes": console.unpacked_bytes(options)}
-    missions = [read_mission(path, **limits) for path in options.mission]
+    missions = [console.read(options, path) for path in options.mission]
     console.compile_first(options.quiet, vehicle)
     say = console.speaker(options.quiet)
     if before is not None:
@@ -98,7 +93,9 @@ def run(options: argparse.Namespace) -> int:
 
         write_over_dives_page(result, page)
     if options.json:
-        Path(options.json).write_text(json.dumps(to_dict(result), indent=2) + "\n", encoding="utf-8")
-    how = "" if copied else " (laid out anew, in SI units: your file could not be edited)"
-    say(f"{out} written{how}" + (f", and {page} with pictures." if options.report else "."))
+        write_json(to_dict(result), options.json)
+    say(
+        f"{out} written{console.LAID_OUT_ANEW * (not copied)}"
+        + (f", and {page} with pictures." if options.report else ".")
+    )
     return OK if result.tells else AS_IT_WAS

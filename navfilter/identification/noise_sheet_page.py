@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from navfilter.identification.noise_sheet import AxisSheet, NoiseSheet
 from navfilter.identification.noise_sheet_text import allan_rows, drive_toml, groups, rows, sheet_dict
 from navfilter.identification.report import write_page
 from navfilter.io.inertial import ImuRecord
+from navfilter.io.write import write_json
 from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
 from navfilter.rendering.page import escape, heading_html, list_html, table_html
 
@@ -44,13 +44,12 @@ def write_sheet(sheet: NoiseSheet, record: ImuRecord, folder: Path) -> list[Path
         f'<div class="wide"><pre>{escape(drive_toml(sheet))}</pre></div>',
         list_html(sheet.remarks),
     ]
-    texts = {"identify.json": json.dumps(sheet_dict(sheet), indent=1) + "\n", "drive.toml": drive_toml(sheet)}
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    data = write_json(sheet_dict(sheet), folder / "identify.json")
+    (folder / "drive.toml").write_text(drive_toml(sheet), encoding="utf-8")
     with style():
         subtitle = f"inertial unit, {sheet.rate_hz:.6g} Hz, {sheet.duration_s:.0f} s"
         figures = write_page(folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record))
-    return [*(folder / name for name in texts), *figures]
+    return [data, folder / "drive.toml", *figures]
 
 
 def _figures(sheet: NoiseSheet, record: ImuRecord) -> Iterator[tuple[str, str, str, Figure]]:

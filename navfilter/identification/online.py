@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 
 from navfilter.foundation import utc
 from navfilter.foundation.arrays import Array
-from navfilter.foundation.quoting import json_value
 from navfilter.identification.conditioning import Conditioned, condition
 from navfilter.identification.report import write_page
 from navfilter.io.series import Series
+from navfilter.io.write import write_json
 from navfilter.models.interpretation import number, read_model
 from navfilter.rendering.drawing import COLOURS, DASHES, WIDTH_IN, band, line, style
 from navfilter.rendering.page import table_text
@@ -269,7 +268,7 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
         "reading": _last_reading(tracks),
         "remarks": list(data.notes),
     }
-    (folder / "identify.json").write_text(json.dumps(json_value(result), indent=1) + "\n", encoding="utf-8")
+    write_json(result, folder / "identify.json")
     caption = (
         f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with "
         "two standard deviations."
