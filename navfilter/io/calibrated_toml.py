@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import os
 import re
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from navfilter.foundation.quoting import toml_key
-from navfilter.io.toml_editing import UNCLEAR, with_keys
-from navfilter.io.vehicle_toml import read_vehicle, vehicle_file, write_vehicle
+from navfilter.io.toml_editing import with_keys, write_edited
 from navfilter.models.vehicle import Vehicle
 
 #: Fields that a calibration sets.
@@ -49,20 +48,13 @@ def write_calibrated(
         Whether it is a copy with all comments; the file is laid out in an unusual way otherwise, and all was written
         anew in SI units.
     """
-    path = Path(path)
-    if source is not None:
-        file = vehicle_file(source)
-        text = file.read_text(encoding="utf-8")
-        try:
-            for part, new, old in _parts(vehicle, before):
-                text = with_keys(text, part, _keys(new, old), remark)
-            path.write_text(text, encoding="utf-8")
-            if _alike(read_vehicle(path), vehicle):
-                return True
-        except UNCLEAR:
-            pass
-    write_vehicle(vehicle, path)
-    return False
+
+    def edit(text: str) -> str:
+        for part, new, old in _parts(vehicle, before):
+            text = with_keys(text, part, _keys(new, old), remark)
+        return text
+
+    return write_edited(vehicle, path, source, edit, partial(_alike, vehicle))
 
 
 def _parts(vehicle: Vehicle, before: Vehicle) -> list[tuple[tuple[str, ...], Any, Any]]:
@@ -108,7 +100,7 @@ def _text(value: float | tuple[float, ...], angle: bool) -> str:
     return repr(number)
 
 
-def _alike(back: Vehicle, vehicle: Vehicle) -> bool:
+def _alike(vehicle: Vehicle, back: Vehicle) -> bool:
     """Whether a vehicle that was read back is this one, but for rounding."""
     if list(back.sensors) != list(vehicle.sensors) or list(back.driving) != list(vehicle.driving):
         return False

@@ -10,8 +10,8 @@ from typing import Any
 
 import tomlkit
 
-from navfilter.io.toml_editing import UNCLEAR, with_value
-from navfilter.io.vehicle_toml import learnt_keys, read_vehicle, vehicle_file, write_vehicle
+from navfilter.io.toml_editing import with_value, write_edited
+from navfilter.io.vehicle_toml import learnt_keys
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle
@@ -45,19 +45,12 @@ def write_learned(
     The copy is read back. Where it is not the vehicle, because the file is laid out in an unusual way, everything is
     written anew.
     """
-    path = Path(path)
-    if source is not None:
-        file = vehicle_file(source)
-        try:
-            path.write_text(_edited(file.read_text(encoding="utf-8"), vehicle, remarks or {}), encoding="utf-8")
-            if _same(read_vehicle(path), vehicle):
-                return path
-        except UNCLEAR:
-            pass
-    return write_vehicle(vehicle, path)
+    edit = partial(_edited, vehicle=vehicle, remarks=remarks or {})
+    write_edited(vehicle, path, source, edit, partial(_same, vehicle))
+    return Path(path)
 
 
-def _same(back: Vehicle, vehicle: Vehicle) -> bool:
+def _same(vehicle: Vehicle, back: Vehicle) -> bool:
     return back.driving == vehicle.driving and all(back.sensors.get(name) == s for name, s in vehicle.sensors.items())
 
 

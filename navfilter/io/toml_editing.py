@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import tomlkit
@@ -10,9 +12,48 @@ from tomlkit.items import InlineTable, Table
 
 from navfilter.foundation.quoting import one_line
 from navfilter.io.vehicle_keys import spellings
+from navfilter.io.vehicle_toml import read_vehicle, vehicle_file, write_vehicle
+from navfilter.models.vehicle import Vehicle
 
 #: What a file raises that has no such place, or that is laid out in a way that the library does not follow.
 UNCLEAR = (LookupError, ValueError, TypeError, AttributeError)
+
+
+def write_edited(
+    vehicle: Vehicle,
+    path: str | os.PathLike[str],
+    source: str | os.PathLike[str] | None,
+    edit: Callable[[str], str],
+    same: Callable[[Vehicle], bool],
+) -> bool:
+    """Write a vehicle as an edited copy of the file that it was read from.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    path : path-like
+    source : path-like or None
+        The vehicle.toml, or the folder that holds it; None: all is written anew.
+    edit : callable
+        Takes its text, returns the copy's; raises one of `UNCLEAR` where it cannot.
+    same : callable
+        Whether a vehicle that was read back is this one.
+
+    Returns
+    -------
+    bool
+        Whether it is a copy. Else the file is laid out in an unusual way, and all was written anew, in SI units.
+    """
+    if source is not None:
+        try:
+            text = edit(vehicle_file(source).read_text(encoding="utf-8"))
+            Path(path).write_text(text, encoding="utf-8")
+            if same(read_vehicle(path)):
+                return True
+        except UNCLEAR:
+            pass
+    write_vehicle(vehicle, path)
+    return False
 
 
 def with_keys(text: str, part: tuple[str, ...], keys: Mapping[str, tuple[str, str]], remark: str = "") -> str:
