@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from navfilter.foundation.arrays import Array
@@ -16,8 +15,9 @@ from navfilter.identification.noise_sheet_text import allan_rows, drive_toml, gr
 from navfilter.identification.report import write_page
 from navfilter.io.inertial import ImuRecord
 from navfilter.io.write import write_json
-from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
+from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw, line, style
 from navfilter.rendering.page import escape, heading_html, list_html, table_html
+from navfilter.rendering.panels import Line, Panel, Part, Points, Stack
 
 _MARKS = ("o", "s", "^")
 #: Two-sided density to the units in which gyros and accelerometers are drawn.
@@ -95,28 +95,18 @@ def _allan_figure(axes: Sequence[AxisSheet]) -> Figure:
 
 
 def _spectrum_figure(axes: Sequence[AxisSheet], period_s: float) -> Figure:
-    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
-    ax = figure.subplots()
     factor, unit = _scale(axes)
+    parts: list[Part] = []
     for k, axis in enumerate(axes):
-        size, colour, bands = factor / 3.0**k, COLOURS[(1, 5, 2)[k]], axis.bands
+        size, hue, bands = factor / 3.0**k, COLOURS[(1, 5, 2)[k]], axis.bands
         middle = np.sqrt(bands.low * bands.high)
-        order = np.argsort(middle)
         label = axis.name.replace("_", " ") + ("" if k == 0 else f" / {3**k}")
-        ax.plot(middle[order], size * np.sqrt(bands.power[order]), _MARKS[k], markersize=3.0, color=colour, label=label)
-        _curve(ax, axis, middle, size, period_s, colour)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel("frequency [Hz]")
-    ax.set_ylabel(f"root density [{unit}/sqrt(Hz)]")
-    ax.legend()
-    return figure
-
-
-def _curve(ax: Axes, axis: AxisSheet, middle: Array, size: float, period_s: float, colour: str) -> None:
-    grid = np.geomspace(middle.min(), axis.sheet.highest_hz, 300)
-    ax.plot(grid, size * np.sqrt(axis.sheet.density(grid, period_s)), color=colour, linewidth=1.0)
-    ax.plot(grid, size * np.sqrt(axis.drive.density(grid, period_s)), "--", color=colour, linewidth=0.8)
+        parts.append(Points(middle, size * np.sqrt(bands.power), label, hue, "o"))
+        grid = np.geomspace(middle.min(), axis.sheet.highest_hz, 300)
+        parts.append(Line(grid, size * np.sqrt(axis.sheet.density(grid, period_s)), "", hue, width=1.0))
+        parts.append(Line(grid, size * np.sqrt(axis.drive.density(grid, period_s)), "", hue, "--", 0.8))
+    panel = Panel(f"root density [{unit}/sqrt(Hz)]", tuple(parts), log=True)
+    return draw(Stack((panel,), 3.0, x_label="frequency [Hz]", log_x=True))
 
 
 def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
