@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.calibration.calibrate import REFERENCE, UNTOLD, Calibration, Found, _Folds, with_reference
+from navfilter.calibration.calibrate import (
+    REFERENCE,
+    UNTOLD,
+    Calibration,
+    Found,
+    _Folds,
+    calibration_text,
+    with_reference,
+)
 from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
-from navfilter.calibration.text import calibration_text
 from navfilter.calibration.validation import FOLDS, Prediction, stretches_of
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle

@@ -73,9 +73,8 @@ def run(options: argparse.Namespace) -> int:
       navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --open clock,mounting
       navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --truth 0.05    a reference as fixes
     """
-    from navfilter.calibration.calibrate import calibrate, to_dict, with_reference
+    from navfilter.calibration.calibrate import calibrate, calibration_text, to_dict, with_reference
     from navfilter.calibration.parts import KINDS
-    from navfilter.calibration.text import calibration_text
     from navfilter.io import read_vehicle
     from navfilter.io.calibrated_toml import write_calibrated
     from navfilter.io.write import write_json

@@ -31,10 +31,9 @@ from navfilter.rendering.panels import Mark, Stack, short
 from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.constant_table import ABOUT, lights_html
 from navfilter.report.instrument import Instrument
-from navfilter.report.lane_figures import CAPTION, lane_figure, lane_marks, lane_rows
 from navfilter.report.plan_view import plan_view
 from navfilter.report.run_tables import headline_rows, sensor_rows
-from navfilter.report.trust_figures import spell_rows, trust_figure
+from navfilter.report.trust_figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
 from navfilter.track.track import Track, Tracks
 
 Rows = list[list[str]]
@@ -195,7 +194,7 @@ def _lanes(track: Track, instrument: Instrument) -> Iterator[Section]:
         return
     header, rows = lane_rows(track)
     table = table_html(header, rows, text_columns=(1, 2, 3)) if rows else "<p>No lane was left.</p>"
-    yield Section("Lanes", (instrument.figure(shown, CAPTION), table))
+    yield Section("Lanes", (instrument.figure(shown, LANES), table))
 
 
 def _band_caption(truth: Stream | None, columns: slice) -> str:
