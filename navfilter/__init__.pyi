@@ -15,6 +15,7 @@ from navfilter.io.tracks.formats import write_track as write_track
 from navfilter.models.alignment import align as align
 from navfilter.models.error_models import Arma as Arma
 from navfilter.models.error_models import Block as Block
+from navfilter.models.error_models import Cycle as Cycle
 from navfilter.models.error_models import ErrorModel as ErrorModel
 from navfilter.models.error_models import GaussMarkov as GaussMarkov
 from navfilter.models.error_models import RandomWalk as RandomWalk
@@ -27,7 +28,6 @@ from navfilter.models.mechanisation import Imu as Imu
 from navfilter.models.mission import Mission as Mission
 from navfilter.models.mission import Stream as Stream
 from navfilter.models.parameters import Parameter as Parameter
-from navfilter.models.periodic_error import Cycle as Cycle
 from navfilter.models.sensors import Altitude as Altitude
 from navfilter.models.sensors import Attitude as Attitude
 from navfilter.models.sensors import BodyVelocity as BodyVelocity

@@ -301,7 +301,7 @@ def _write(
     written += _write_own_formats(options, result, folder)
     report = folder / "report.html"
     if drawn:
-        from navfilter.io.tracks.reading import read_track
+        from navfilter.io.tracks.table import read_track
         from navfilter.report.report import write_report
 
         others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]

@@ -12,9 +12,8 @@ import numpy.typing as npt
 
 from navfilter.foundation.arrays import Array
 from navfilter.io import dates
-from navfilter.io.contents import SD, SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
-from navfilter.io.mission_schema import Clock, Component, Group, Reference
+from navfilter.io.mission_schema import SD, SERIES, Clock, Component, Group, Reference, groups
 from navfilter.io.stamps import continued, full_after
 from navfilter.io.stream_joining import circular_mean
 from navfilter.io.table import BLANK, Table

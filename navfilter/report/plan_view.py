@@ -176,7 +176,7 @@ def _ellipse(east: float, north: float, P: Array) -> Shape:
 
 def _metres(place: Array, origin: tuple[float, float]) -> Array:
     """East, north [m] of latitudes and longitudes [rad], shape (n, 2)."""
-    from navfilter.io.tracks.local import local_enu
+    from navfilter.io.geodesy import local_enu
 
     return local_enu(np.column_stack([place, np.zeros(len(place))]), (*origin, 0.0))[:, :2]
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from pymavlink.DFReader import DFFormat, null_term
 
 from navfilter.foundation.arrays import Array
-from navfilter.io.logs.progress import byte_bar
+from navfilter.io.logs.lines import byte_bar
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 

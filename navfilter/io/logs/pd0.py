@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from navfilter.io.logs.progress import byte_bar
+from navfilter.io.logs.lines import byte_bar
 from navfilter.io.logs.sentence_times import number_of, time_of_day
 from navfilter.io.logs.slocum import degrees_of
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted

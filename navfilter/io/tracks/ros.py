@@ -32,9 +32,9 @@ from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation import utc
 from navfilter.foundation.arrays import Array
+from navfilter.io.geodesy import ENU, local_enu, origin_of, plane_from_n
 from navfilter.io.tracks.atomic_files import pieces, replacing_tree
 from navfilter.io.tracks.formats import is_nowhere
-from navfilter.io.tracks.local import ENU, local_enu, origin_of, plane_from_n
 from navfilter.models.health import SensorHealth
 from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler
