@@ -13,8 +13,7 @@ import numpy as np
 from harness import Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.simulation.scenarios import demo_mission
-from navfilter.simulation.truth import true_vehicle
+from navfilter.simulation.scenarios import demo_mission, true_vehicle
 
 MODELS = ("file", "gm1-fitted", "learnt", "told")
 

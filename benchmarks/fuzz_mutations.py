@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import re
 
-from navfilter.io.contents import groups
+from navfilter.io.mission_schema import groups
 from navfilter.io.units import SUFFIXES, UNITS
 
 VOCABULARY = """

@@ -24,11 +24,10 @@ from harness import DEG, Options, Table, data_root, flag, main, quick
 
 from navfilter.foundation.utc import date_text
 from navfilter.io import read_mission
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import Cycle, ErrorModel, GaussMarkov, White
 from navfilter.models.magnetic import declination
 from navfilter.models.mechanisation import DeadReckoning
 from navfilter.models.mission import Mission, Stream
-from navfilter.models.periodic_error import Cycle
 from navfilter.models.sensors import Depth, Heading, Position, WaterVelocity
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay

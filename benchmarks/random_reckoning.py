@@ -10,7 +10,7 @@ from harness import DEG
 from random_vehicles import MOTIONS, Random, arm, between, chance, error, place, unknown
 
 import navfilter as nf
-from navfilter.models.periodic_error import Cycle
+from navfilter.models.error_models import Cycle
 from navfilter.simulation.motion import Motion
 
 EARTH_RADIUS_M, TIDE_S = 6.371e6, 44714.0

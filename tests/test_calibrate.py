@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.calibration.calibrate import REFERENCE, UNTOLD, Calibration, Found, _Folds, with_reference
+from navfilter.calibration.calibrate import (
+    REFERENCE,
+    UNTOLD,
+    Calibration,
+    Found,
+    _Folds,
+    calibration_text,
+    with_reference,
+)
 from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
-from navfilter.calibration.text import calibration_text
 from navfilter.calibration.validation import FOLDS, Prediction, stretches_of
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
@@ -404,12 +411,10 @@ def test_the_file_keeps_its_comments(tmp_path):
     assert write_calibrated(changed, vehicle, out, source, "found")
     text = out.read_text()
     assert [line for line in TEXT.splitlines() if line.startswith("#")] == [
-        line
-        for line in text.splitlines()
-        if line.startswith("#") and line not in ("# found", "# turned", "# nobody knows")
+        line for line in text.splitlines() if line.startswith("#") and line != "# found"
     ]
     assert "# turned" in text and "# nobody knows" in text and "}  # the compass" in text
-    assert "time_offset_sd_s = 0.01\n" in text and text.count("time_offset_sd_s") == 1
+    assert "time_offset_sd_s = 0.01   # nobody knows\n" in text and text.count("time_offset_sd_s") == 1
     back = nf.read_vehicle(out)
     for one, other in zip(constants_of(back), constants_of(changed), strict=True):
         assert one.name == other.name

@@ -11,7 +11,7 @@ from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.models.error_models import Arma, GaussMarkov, Sum, White
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.playback.replay import replay
-from navfilter.simulation.truth import true_vehicle
+from navfilter.simulation.scenarios import true_vehicle
 
 MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle")
 

@@ -11,14 +11,13 @@ from navfilter.commands.cli import main
 from navfilter.evaluation.calibration_states import constant_lights
 from navfilter.io import read_mission, write_vehicle
 from navfilter.models.during import During
-from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
+from navfilter.models.error_models import Arma, Cycle, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma
-from navfilter.models.periodic_error import Cycle
 from navfilter.models.scaled_errors import larger
 from navfilter.navigation.navigator import Navigator
 from navfilter.playback.instructions import instructed
 from navfilter.playback.replay import replay
-from navfilter.report.marks import outages
+from navfilter.report.report import outages
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.track.trust import spells
 

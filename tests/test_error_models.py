@@ -11,8 +11,8 @@ from statsmodels.tsa.arima_process import ArmaProcess
 import navfilter as nf
 from navfilter.filter.state_layout import Layout
 from navfilter.models.error_models import CORRELATION_CONSTANTS, per_axis
+from navfilter.models.error_models import gauss_markov as discretised
 from navfilter.simulation.faults import draw_error
-from navfilter.timeseries.continuous import gauss_markov as discretised
 
 
 def autocovariance(block, lags):

@@ -68,9 +68,9 @@ def exists(name):
 
 @cache
 def imports(path):
-    """Modules of the package that a file imports, wherever in it."""
-    found = set()
-    for node in ast.walk(tree_of(path)):
+    """Modules of the package that a file, or the stub beside it, imports, wherever in it."""
+    found, stub = set(), path.with_suffix(".pyi")
+    for node in [*ast.walk(tree_of(path)), *(ast.walk(tree_of(stub)) if stub.exists() else ())]:
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "navfilter":
             below = ".".join((node.module or "").split(".")[1:])
             for alias in node.names:
@@ -158,7 +158,8 @@ def test_no_circles():
 def test_the_house_is_small():
     assert len(arrows()) <= MOST_ROOMS
     assert max(map(floor, arrows())) <= MOST_FLOORS
-    assert sorted(path.name for path in ROOT.iterdir() if path.is_file()) == ["__init__.py", "__main__.py", "py.typed"]
+    own = ["__init__.py", "__init__.pyi", "__main__.py", "py.typed"]
+    assert sorted(path.name for path in ROOT.iterdir() if path.is_file()) == own
 
 
 def test_kernels_import_nothing_of_the_package():

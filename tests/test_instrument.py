@@ -24,8 +24,7 @@ from navfilter.rendering.panels import Band, Line, Mark, Panel, Stack, extent, l
 from navfilter.report import figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.live import live_stack, plain
-from navfilter.report.marks import marks, outages
-from navfilter.report.report import render_report
+from navfilter.report.report import marks, outages, render_report
 from navfilter.simulation.scenarios import simulate_scenario
 
 NOON_S = 1_767_268_800.0  # 2026-01-01 12:00 UTC

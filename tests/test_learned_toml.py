@@ -125,10 +125,18 @@ def test_sensors_that_the_run_went_without_stay(tmp_path):
 @pytest.mark.parametrize(
     "unusual", ['{prior = {model = "white", sd = 0.1}, model = "learned-arma"}', '{"model" = "learned-arma"}']
 )
-def test_an_unusual_layout_is_written_anew(tmp_path, unusual):
-    """What it says is right all the same: `written` has read it back."""
+def test_an_unusual_layout_is_kept(tmp_path, unusual):
+    """`written` has read it back."""
     _, text = written(tmp_path, compass=unusual)
-    assert "adopted" in text and "# the boat of 2026" not in text
+    assert "adopted" in text and "# the boat of 2026" in text and unusual[:-1] in text
+
+
+def test_a_file_without_the_place_is_written_anew(tmp_path):
+    learnt, _ = written(tmp_path)
+    other = tmp_path / "other.toml"
+    other.write_text(TEXT.replace("COMPASS", LEARNED).replace("DVL", PLAIN).replace("sensors.compass", "sensors.other"))
+    text = write_learned(learnt, tmp_path / "new.toml", other).read_text()
+    assert read_vehicle(tmp_path / "new.toml") == learnt and "# the boat of 2026" not in text
 
 
 def test_without_a_file_all_is_written_anew(tmp_path):

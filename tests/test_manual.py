@@ -9,7 +9,7 @@ import pytest
 
 import navfilter
 from navfilter.io import mission_schema as schema
-from navfilter.io.contents import FORMS, TRUTH_ONLY, groups
+from navfilter.io.mission_schema import FORMS, TRUTH_ONLY, groups
 from navfilter.io.tracks.formats import FORMATS
 from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times

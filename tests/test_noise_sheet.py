@@ -10,13 +10,19 @@ import pytest
 
 import navfilter as nf
 from navfilter.commands.cli import main
-from navfilter.identification.allan_curve import allan_curve
-from navfilter.identification.cosine_spectrum import bands_of, shape
-from navfilter.identification.noise_choice import drive_terms, sheet_terms, upper_limit, usable
-from navfilter.identification.noise_sheet import NotAtRest, noise_sheet, quantisation
+from navfilter.identification.noise_sheet import (
+    NotAtRest,
+    allan_curve,
+    drive_terms,
+    noise_sheet,
+    quantisation,
+    sheet_terms,
+    spectral_lines,
+    upper_limit,
+    usable,
+)
 from navfilter.identification.noise_sheet_text import plus_minus, sheet_text
-from navfilter.identification.noise_terms import fit_terms
-from navfilter.identification.spectral_lines import spectral_lines
+from navfilter.identification.noise_terms import bands_of, fit_terms, shape
 from navfilter.identification.static_detection import moving_together, stillness
 from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
 from navfilter.io.series import on_a_grid

@@ -12,9 +12,8 @@ from small_run import small_run
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
-from navfilter.io.tracks.reading import read_track
-from navfilter.report.chart import MOST_TILES, TILE, _tile, chart_of, check_tiles
-from navfilter.report.plan_view import draw_plan, plan_view
+from navfilter.io.tracks.table import read_track
+from navfilter.report.plan_view import MOST_TILES, TILE, _tile, chart_of, check_tiles, draw_plan, plan_view
 from navfilter.report.report import write_report
 from navfilter.report.run_tables import headline_rows
 

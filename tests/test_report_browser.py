@@ -16,7 +16,7 @@ from PIL import Image
 
 from navfilter.io.write import labelled
 from navfilter.playback.replay import replay
-from navfilter.report.chart import _tile
+from navfilter.report.plan_view import _tile
 from navfilter.report.report import write_report
 from navfilter.simulation.scenarios import simulate_scenario
 

@@ -9,10 +9,9 @@ import pytest
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.evaluation.baselines import rivals
-from navfilter.evaluation.montecarlo import bars as judging
-from navfilter.evaluation.montecarlo.bars import Bar, bar_table, bars
+from navfilter.evaluation.montecarlo import slot_tables as judging
 from navfilter.evaluation.montecarlo.campaign import Campaign, Results, run_campaign, run_seed
-from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
+from navfilter.evaluation.montecarlo.slot_tables import Bar, SlotRow, bar_table, bars, slot_rows, slot_table
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, slot_figures, slots
 from navfilter.evaluation.montecarlo.tables import table, write_tables
 from navfilter.playback.replay import replay_heard, residual_series

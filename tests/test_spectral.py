@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.timeseries import spectral
+from navfilter.timeseries import polynomials
 
 
 def autocovariance(c):
@@ -59,7 +59,7 @@ def test_where_newton_converges_its_result_is_handed_out():
         gamma = autocovariance(
             polynomial([*rng.uniform(-0.99, 0.99, 2), *pair(rng.uniform(0.0, np.pi), rng.uniform(0.1, 0.99))])
         )
-        alone = spectral._newton(gamma / gamma[0])
+        alone = polynomials._newton(gamma / gamma[0])
         ma, sd = nf.timeseries.spectral_factor(gamma)
         np.testing.assert_array_equal(ma, alone[1:] / alone[0])
         assert sd == alone[0] * np.sqrt(gamma[0])

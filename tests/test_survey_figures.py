@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_run import small_run
 
-from navfilter.evaluation.survey_figures import ORDERS, radius, survey_figures
+from navfilter.evaluation.assessment import ORDERS, radius, survey_figures
 
 
 @pytest.mark.parametrize("share", [0.5, 0.95])

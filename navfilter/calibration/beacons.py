@@ -15,7 +15,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: Directions that are tried around the vehicle.
 DIRECTIONS = 24
 #: First ranges whose median says how far away a beacon is.

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.calibration.parts import Constant, constants_of, described
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import at_the_end
 
-Array = NDArray[np.float64]
 #: The constants have settled when a step moves none of them by more than this share of its standard deviation.
 SETTLED = 0.1
 #: A later step lets them wander by so many of the standard deviations of the step before: around where it is linear.

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown
 from navfilter.io import read_mission
 from navfilter.models.error_models import ErrorModel, per_axis
@@ -24,7 +24,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: Candidates that are run: so many times the quick and the slow errors that are described, in steps of one standard
 #: deviation of the prior. Files ten times too good are common, such as ten times too bad rare.
 QUICK: Array = 2.0 ** np.arange(-3.0, 7.0)

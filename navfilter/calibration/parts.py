@@ -8,7 +8,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.models.mission import Mission
 from navfilter.models.parameters import Parameter, constant_parameters
@@ -16,7 +15,6 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.state import euler_from_matrix, matrix_from_euler, rotation_matrix
 from navfilter.models.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 #: What a constant is unsure by where the vehicle says nothing: keys of a sensor's class and their values, by kind.
 KINDS: dict[str, dict[str, Any]] = {
     "clock": {"time_offset_sd_s": 0.3},

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.foundation.arguments import within
+from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.held_out import Withheld, score
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 #: The stretches of a mission are dealt out to so many parts; each is withheld once.
 FOLDS = 4

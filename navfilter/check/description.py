@@ -14,11 +14,10 @@ from navfilter.filter.state_layout import Layout
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.learning.open_loop_series import TAKEN_AFTER_S
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.models.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
+from navfilter.models.error_models import Arma, Block, Cycle, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.parameters import Parameter, constant_parameters
-from navfilter.models.periodic_error import Cycle
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import DEAD_RECKONING
 from navfilter.models.window_limits import least_window

@@ -10,6 +10,7 @@ has gone; `run` has its own (see its help).
 from __future__ import annotations
 
 import argparse
+import inspect
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -19,30 +20,6 @@ from typing import Any, NoReturn
 from navfilter.commands import calibrate, compare, console, identify, learn, mission, montecarlo, replay, run, vehicle
 
 OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
-
-_ABOUT = (
-    "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how "
-    "honest the result is."
-)
-_FIRST_STEPS = """\
-first steps:
-  navfilter demo                                  a simulated mission of one hour, replayed and smoothed
-  navfilter simulate lawnmower --out dive         make a mission to play with
-  navfilter mission --init dive.mcap --out dive   a mission.toml and a vehicle.toml for a log of yours
-  navfilter check dive/mission.npz                look for the usual mistakes in a recording
-  navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
-  navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
-  navfilter calibrate dive/mission.npz --vehicle dive/vehicle.toml --out calibrated.toml
-  navfilter learn dive_0* --vehicle vehicle.toml --out learnt.toml     how the sensors err, for the next dive
-  navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
-  navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
-
-'navfilter COMMAND --help' explains one command.
-
-exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
-replay, demo), or nothing better was found (calibrate, learn), 2 wrong usage or input, 3 the track is not judged
-(replay), 130 interrupted.
-"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -91,27 +68,48 @@ def _fail(text: str, code: int) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how honest
+    the result is.
+
+    first steps:
+      navfilter demo                                  a simulated mission of one hour, replayed and smoothed
+      navfilter simulate lawnmower --out dive         make a mission to play with
+      navfilter mission --init dive.mcap --out dive   a mission.toml and a vehicle.toml for a log of yours
+      navfilter check dive/mission.npz                look for the usual mistakes in a recording
+      navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
+      navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
+      navfilter calibrate dive/mission.npz --vehicle dive/vehicle.toml --out calibrated.toml
+      navfilter learn dive_0* --vehicle vehicle.toml --out learnt.toml     how the sensors err, for the next dive
+      navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
+      navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
+
+    'navfilter COMMAND --help' explains one command.
+
+    exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
+    replay, demo), or nothing better was found (calibrate, learn), 2 wrong usage or input, 3 the track is not judged
+    (replay), 130 interrupted.
+    """
+    about, _, below = (inspect.getdoc(_parser) or "").partition("\n\n")
     parser = _Parser(
-        prog="navfilter", description=_ABOUT, epilog=_FIRST_STEPS, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="navfilter", description=about, epilog=below, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    replay.add_demo_arguments(_command(commands, "demo", replay.demo, *replay.DEMO))
-    replay.add_replay_arguments(_command(commands, "replay", replay.replay, *replay.REPLAY))
+    replay.add_demo_arguments(_command(commands, "demo", replay.demo))
+    replay.add_replay_arguments(_command(commands, "replay", replay.replay))
     _add(commands, run, compare, calibrate, learn, montecarlo, identify)
     _add_simulate(commands)
     _add_check(commands)
     _add(commands, mission, vehicle)
-    _add_warmup(commands)
+    _command(commands, "warmup", _warmup)
     return parser
 
 
 def _add(commands: Any, *modules: Any) -> None:
     """Commands that are a module each."""
     for module in modules:
-        name = module.__name__.rpartition(".")[2]
-        module.add_arguments(_command(commands, name, module.run, module.ABOUT, module.EPILOG))
+        module.add_arguments(_command(commands, module.__name__.rpartition(".")[2], module.run))
 
 
 class _Version(argparse.Action):
@@ -124,17 +122,18 @@ class _Version(argparse.Action):
         parser.exit(OK)
 
 
-def _command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, epilog: str
-) -> argparse.ArgumentParser:
+def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    """A command whose help is the docstring of what runs it: its first line, and what stands below the arguments."""
+    about, _, below = (inspect.getdoc(run) or "").partition("\n")
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
-        help=about,
-        description=about[0].upper() + about[1:] + ".",
-        epilog=epilog,
+        help=about[:1].lower() + about[1:].rstrip("."),
+        description=about,
+        epilog=below.lstrip("\n"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run, compiled=True)
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     return parser
 
 
@@ -142,20 +141,7 @@ def _command(
 
 
 def _add_simulate(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "simulate",
-        _simulate,
-        "simulate a mission with its truth",
-        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml "
-        "beside it.\n"
-        "Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is "
-        "the oracle of\n"
-        "'navfilter compare'.\n\n"
-        "examples:\n"
-        "  navfilter simulate --list\n"
-        "  navfilter simulate lawnmower --seed 3 --duration 900 --out dive\n",
-    )
+    parser = _command(commands, "simulate", _simulate)
     add = parser.add_argument
     add("scenario", nargs="?", metavar="SCENARIO", help="see --list")
     add("--list", action="store_true", help="list the scenarios and stop")
@@ -163,12 +149,20 @@ def _add_simulate(commands: Any) -> None:
     console.add_force_argument(parser)
     add("--seed", type=console.whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
     add("--duration", type=console.positive, metavar="S", help="length in seconds (default: that of the scenario)")
-    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
-    from navfilter.simulation.truth import true_vehicle
+    """Simulate a mission with its truth.
+
+    DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml beside
+    it. Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is the
+    oracle of 'navfilter compare'.
+
+    examples:
+      navfilter simulate --list
+      navfilter simulate lawnmower --seed 3 --duration 900 --out dive
+    """
+    from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario, true_vehicle
 
     if options.list:
         width = max(map(len, SCENARIOS))
@@ -196,29 +190,25 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _add_check(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "check",
-        _check,
-        "look at a recording before it is replayed",
-        "Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity "
-        "upside down, axes\n"
-        "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would "
-        "spoil a replay.\n\n"
-        "examples:\n"
-        "  navfilter check dive_042\n"
-        "  navfilter check dive.mcap                            a bare log: what is in it, and mapped as by\n"
-        "                                                       'navfilter mission --init'\n"
-        "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings "
-        "applied\n",
-    )
+    parser = _command(commands, "check", _check)
     parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     console.add_reading_arguments(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
 
 
 def _check(options: argparse.Namespace) -> int:
+    """Look at a recording before it is replayed.
+
+    Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity upside
+    down, axes swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something
+    would spoil a replay.
+
+    examples:
+      navfilter check dive_042
+      navfilter check dive.mcap                            a bare log: what is in it, and mapped as by
+                                                           'navfilter mission --init'
+      navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings applied
+    """
     from navfilter.check import check_mission, report_text
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
@@ -258,18 +248,11 @@ def _of_a_log(path: Path, say: Callable[[str], None], limit: int) -> Any:
 # --- warmup ---------------------------------------------------------------------------------------------------------
 
 
-def _add_warmup(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "warmup",
-        _warmup,
-        "compile everything now, so that nothing compiles during a dive",
-        "What is compiled is kept: the next process starts at once. Run it once after every installation or update.\n",
-    )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-
-
 def _warmup(options: argparse.Namespace) -> int:
+    """Compile everything now, so that nothing compiles during a dive.
+
+    What is compiled is kept: the next process starts at once. Run it once after every installation or update.
+    """
     import time
 
     from navfilter.kernels.compiling.progress import show_compilation

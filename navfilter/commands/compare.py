@@ -17,36 +17,8 @@ if TYPE_CHECKING:
     from navfilter.evaluation.comparison import Comparison
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
-    from navfilter.track.track import Track
+    from navfilter.track.track import Track, Tracks
 
-ABOUT = "run a mission with several kinds of error models and compare what they make of it"
-EPILOG = """\
-the models, by name, for the sensors that correct:
-  white        white noise                                  fitted to the whole mission by likelihood
-  gm1          first-order Gauss-Markov                     through the 1/e point of the autocorrelation
-  gm1-fitted   first-order Gauss-Markov                     fitted to the whole mission by likelihood: the fair baseline
-  arma         learnt on the way, order and coefficients    begins with the model of vehicle.toml, sees only the past
-  vehicle      as vehicle.toml says
-  iae, sage-husa, vb, imm, student-t                        white noise that the run adapts, as the literature does
-  oracle       the true models, from --oracle               only where the mission is simulated
-
-A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate'
-writes it as vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
-
-Tracks are scored as first given out: what running the beginning again with the first learnt models made of it is left
-out. --smooth compares what is known afterwards.
-
-written to --out:
-  report.html      table and figures side by side, one file that works offline
-  comparison.csv   one row per model, a column per figure
-  summary.json     the same, with every model adopted under way, and the figures of the whole mission
-
-examples:
-  navfilter compare dive_042 --vehicle dive_042 --models white,gm1-fitted,arma
-  navfilter compare dive_042 --vehicle vehicle.toml --sensors compass --smooth --out compared
-  navfilter simulate oscillating --out swing
-  navfilter compare swing/mission.npz --vehicle swing --models arma,oracle --oracle swing/vehicle_true.toml --out best
-"""
 DEFAULT = "white,gm1,gm1-fitted,arma"
 #: What ratios refer to: the first of these that is among the models, else the first model.
 BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
@@ -69,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
     console.add_force_argument(parser)
     console.add_reading_arguments(parser)
-    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -80,7 +51,34 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, replay with every model, compare, write, print; 0 when all is well."""
+    """Run a mission with several kinds of error models and compare what they make of it.
+
+    the models, by name, for the sensors that correct:
+      white        white noise                                  fitted to the whole mission by likelihood
+      gm1          first-order Gauss-Markov                     through the 1/e point of the autocorrelation
+      gm1-fitted   first-order Gauss-Markov                     fitted to the whole mission by likelihood
+      arma         learnt on the way, order and coefficients    begins with vehicle.toml's model, sees only the past
+      vehicle      as vehicle.toml says
+      iae, sage-husa, vb, imm, student-t                        white noise that the run adapts, as the literature does
+      oracle       the true models, from --oracle               only where the mission is simulated
+
+    A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter
+    simulate' writes it as vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
+
+    Tracks are scored as first given out: what running the beginning again with the first learnt models made of it is
+    left out. --smooth compares what is known afterwards.
+
+    written to --out:
+      report.html      table and figures side by side, one file that works offline
+      comparison.csv   one row per model, a column per figure
+      summary.json     the same, with every model adopted under way, and the figures of the whole mission
+
+    examples:
+      navfilter compare dive_042 --vehicle dive_042 --models white,gm1-fitted,arma
+      navfilter compare dive_042 --vehicle vehicle.toml --sensors compass --smooth --out compared
+      navfilter simulate oscillating --out swing
+      navfilter compare swing/mission.npz --vehicle swing --models arma,oracle --oracle swing/vehicle_true.toml --out a
+    """
     from navfilter.evaluation.baselines import MODELS
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
@@ -175,7 +173,7 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
 
 
 def compare_tracks(
-    tracks: Mapping[str, Track],
+    tracks: Tracks,
     mission: Mission,
     vehicle: Vehicle,
     sensors: Sequence[str] | None = None,
@@ -193,7 +191,7 @@ def compare_tracks(
     return dataclasses.replace(result, remarks=remarks)
 
 
-def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
+def _kept(tracks: Tracks, vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
     """One line on the axes for which a run was to have another model and had none, for want of readings."""
     kept: dict[str, list[str]] = {}
     for label in [name for name in tracks if name not in ("vehicle", "oracle")]:
@@ -222,9 +220,7 @@ def print_comparison(comparison: Comparison, mission: Mission) -> None:
         console.show("(no truth in this mission: only what the readings themselves tell)")
 
 
-def write_results(
-    comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool
-) -> None:
+def write_results(comparison: Comparison, tracks: Tracks, mission: Mission, folder: Path, quiet: bool) -> None:
     """Write report.html, comparison.csv and summary.json."""
     from navfilter.evaluation.comparison import compare
     from navfilter.io.write import write_json

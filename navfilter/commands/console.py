@@ -91,11 +91,15 @@ def unpacked_bytes(options: argparse.Namespace) -> int:
     return int(options.max_unpacked * (1 << 30))
 
 
-def read(options: argparse.Namespace) -> Mission:
-    """The mission that was asked for, within the limits that were asked for."""
+def read(options: argparse.Namespace, mission: str = "") -> Mission:
+    """The mission that was asked for, or one of several, within the limits that were asked for."""
     from navfilter.io import read_mission
 
-    return read_mission(options.mission, confine=options.confine, unpacked_bytes=unpacked_bytes(options))
+    return read_mission(mission or options.mission, confine=options.confine, unpacked_bytes=unpacked_bytes(options))
+
+
+#: Of a vehicle.toml that was written with what was found.
+LAID_OUT_ANEW = " (laid out anew, in SI units: your file could not be edited)"
 
 
 #: Stands in every folder that navfilter has made.
@@ -173,8 +177,7 @@ def figures_bar(quiet: bool) -> Any:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    from navfilter.kernels.compiling.progress import expect, is_compiled, kernel_count
-    from navfilter.service.kernel_cache import FILTER
+    from navfilter.kernels.compiling.progress import FILTER, expect, is_compiled, kernel_count
 
     cold = not is_compiled(*FILTER)
     if cold:

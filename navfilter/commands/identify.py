@@ -3,40 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from navfilter.commands import console, noise_sheet
+from navfilter.commands import console
 
-ABOUT = "identify a sensor's error model, or the noise of an inertial unit, from a recording at rest"
-EPILOG = f"""\
-FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:
-  dive_042:depth, dive_042:imu.rate_x
-
-written to --out:
-  identify.html   everything on one page that works offline
-  identify.json   order criteria, coefficients with covariance, poles, zeros, whiteness, Allan deviation, reading
-  *.svg           the figures
-  drive.toml      with --imu: the [drive] table for a vehicle.toml
-
-{noise_sheet.EPILOG}
-examples:
-  navfilter identify still.csv --column gyro_x --rate-hz 100 --unit deg/s --out gyro_x
-  navfilter identify gps.dat.gz --column 3 --time-column 1 --decimate 10 --out north
-  navfilter identify still.csv --column heading --rate-hz 8 --online --window 4000 --out tracks
-  navfilter identify still.mcap --imu --out sheet
-  navfilter identify still.csv --imu --rate-hz 200 --gyro wx,wy,wz --gyro-unit deg/s --out sheet
-"""
-
+if TYPE_CHECKING:
+    from navfilter.io.inertial import ImuRecord
+    from navfilter.io.table import TableOptions
 
 #: Records longer than this get a progress in tenths.
 LONG = 100_000
+OK, FOUND = 0, 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help=about)
     console.add_force_argument(parser)
     console.add_unpacking_argument(parser)
-    noise_sheet.add_arguments(parser)
+    add_sheet_arguments(parser)
     data = parser.add_argument_group("the series")
     about = 'name of the column, or its position from 0; of an array "counts[0]"'
     data.add_argument("--column", metavar="C", help=about)
@@ -55,9 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "column with seconds: gives the rate, and gaps where samples are missing"
     data.add_argument("--time-column", metavar="T", help=about)
     about = "unit of that column (default: %(default)s)"
-    data.add_argument("--time-unit", type=_unit, default="s", metavar="U", help=about)
+    data.add_argument("--time-unit", type=_known_to("navfilter.io.units", "unit"), default="s", metavar="U", help=about)
     about = "unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI"
-    data.add_argument("--unit", type=_unit, default="", metavar="U", help=about)
+    data.add_argument("--unit", type=_known_to("navfilter.io.units", "unit"), default="", metavar="U", help=about)
     about = 'array of an .npz or .mat file, with planes: "counts", "data[0]"'
     data.add_argument("--table", default="", metavar="NAME", help=about)
     about = "of a log (a ROS bag, NMEA, ...): which of its topics"
@@ -88,17 +73,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "its window in samples (default: %(default)s)"
     model.add_argument("--window", type=console.count, default=4000, metavar="W", help=about)
     parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
-def _unit(text: str) -> str:
-    from navfilter.io.units import unit
+def _known_to(module: str, name: str) -> Callable[[str], str]:
+    """An argument type: text that a function takes, which is imported when there is one."""
 
-    try:
-        unit(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
+    def checked(text: str) -> str:
+        try:
+            getattr(importlib.import_module(module), name)(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+        return text
+
+    return checked
 
 
 def _order(text: str) -> tuple[int, int]:
@@ -109,7 +96,29 @@ def _order(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, identify, write, print; 0 when all is well."""
+    """Identify a sensor's error model, or the noise of an inertial unit, from a recording at rest.
+
+    FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:
+      dive_042:depth, dive_042:imu.rate_x
+
+    written to --out:
+      identify.html   everything on one page that works offline
+      identify.json   order criteria, coefficients with covariance, poles, zeros, whiteness, Allan deviation, reading
+      *.svg           the figures
+      drive.toml      with --imu: the [drive] table for a vehicle.toml
+
+    --imu takes all axes of an inertial unit at once, from a mission, a log (ROS bag, PX4, ArduPilot) or a table, uses
+    what of the record is at rest, and makes a noise sheet: angle and velocity random walk, bias instability, rate
+    random walk, quantisation, lines, Allan deviations, in the units of data sheets and with uncertainties, and the
+    [drive] table of a vehicle.toml. Exit code 1 when the record is not at rest.
+
+    examples:
+      navfilter identify still.csv --column gyro_x --rate-hz 100 --unit deg/s --out gyro_x
+      navfilter identify gps.dat.gz --column 3 --time-column 1 --decimate 10 --out north
+      navfilter identify still.csv --column heading --rate-hz 8 --online --window 4000 --out tracks
+      navfilter identify still.mcap --imu --out sheet
+      navfilter identify still.csv --imu --rate-hz 200 --gyro wx,wy,wz --gyro-unit deg/s --out sheet
+    """
     if not 0 <= options.difference <= 2:
         raise ValueError(f"--difference must be 0, 1 or 2, found {options.difference}.")
     if not options.reject >= 0.0:
@@ -121,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
     folder = None if options.out is None else console.output_folder(options.out, options.force)
     with _busy(options.quiet or options.json) as say:
         if options.imu:
-            return noise_sheet.run(options, folder, say)
+            return run_sheet(options, folder, say)
         series = _read(options)
         if options.online and folder is not None:
             return _online(options, series, folder, say)
@@ -138,7 +147,7 @@ def _read(options: argparse.Namespace) -> Any:
         rate_hz=options.rate_hz,
         time_column=options.time_column,
         time_unit=options.time_unit,
-        options=noise_sheet.layout(options),
+        options=layout(options),
         unpacked_bytes=console.unpacked_bytes(options),
     )
     if series.source != options.file and unit(options.unit).factor != 1.0:
@@ -230,3 +239,76 @@ def _busy(quiet: bool) -> Iterator[Any]:
         finally:
             done.set()
             clock.join()
+
+
+# --- the noise sheet of an inertial unit ------------------------------------------------------------------------------
+
+
+def add_sheet_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of a noise sheet."""
+    unit = parser.add_argument_group("an inertial unit")
+    unit.add_argument("--imu", action="store_true", help="a noise sheet of all axes, from a record at rest")
+    for name, example in (("gyro", "deg/s"), ("accel", "g")):
+        about = "its columns of a table (default: found by their names)"
+        unit.add_argument(f"--{name}", type=_three, default=(), metavar="X,Y,Z", help=about)
+        about = f'their unit; of raw counts with its factor, "0.05 {example}"'
+        unit.add_argument(
+            f"--{name}-unit", type=_known_to("navfilter.io.inertial", "size_of"), default="", metavar="U", help=about
+        )
+
+
+def _three(text: str) -> tuple[str, ...]:
+    parts = tuple(part.strip() for part in text.split(","))
+    if len(parts) != 3 or not all(parts):
+        raise argparse.ArgumentTypeError(f"must be three columns X,Y,Z, found '{text}'")
+    return parts
+
+
+def run_sheet(options: argparse.Namespace, folder: Path | None, say: Callable[[str], Any]) -> int:
+    """Read, find the noise, write, print."""
+    from navfilter.identification.noise_sheet import NotAtRest, noise_sheet
+    from navfilter.identification.noise_sheet_text import sheet_dict, sheet_text
+
+    say("reading")
+    record = _record(options)
+    try:
+        sheet = noise_sheet(record, say)
+    except NotAtRest as error:
+        say("")
+        console.complain(f"navfilter: {error}")
+        return FOUND
+    if folder is not None:
+        from navfilter.identification.noise_sheet_page import write_sheet
+
+        say("drawing")
+        write_sheet(sheet, record, folder)
+    say("")
+    if options.json:
+        console.show(json.dumps(sheet_dict(sheet), indent=1))
+    elif not options.quiet:
+        console.show(sheet_text(sheet))
+        if folder is not None:
+            files = "identify.html (open this one), identify.json, drive.toml, figures (.svg)"
+            console.show(f"Written to {folder}{os.sep}: {files}")
+    if sheet.moving:
+        console.complain(f"navfilter: {sheet.verdict}")
+        return FOUND
+    return OK
+
+
+def _record(options: argparse.Namespace) -> ImuRecord:
+    from navfilter.io.inertial import ImuColumns, read_imu
+
+    units, time = (options.gyro_unit, options.accel_unit), (options.time_column or "", options.time_unit)
+    columns = ImuColumns(options.gyro, options.accel, *units, *time, options.rate_hz)
+    return read_imu(options.file, columns, layout(options), console.unpacked_bytes(options)).part(
+        options.from_s, options.to_s
+    )
+
+
+def layout(options: argparse.Namespace) -> TableOptions:
+    """How the file that was given is laid out."""
+    from navfilter.io.table import TableOptions
+
+    keys = ("table", "transpose", "skip_lines", "skip_rows", "topic")
+    return TableOptions(**{key: getattr(options, key) for key in keys})

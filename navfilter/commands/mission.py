@@ -9,18 +9,6 @@ from navfilter.commands.console import add_unpacking_argument, speaker, unpacked
 
 OK = 0
 
-ABOUT = "write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...) or a table (CSV)"
-EPILOG = """\
-Lists the topics of the log with their rates, gaps and first values, and maps those of a known kind: what drives, what
-corrects. Both files replay as they are; lines that begin with GUESSED say what was not known for certain. Without
---init the log is only listed.
-
-examples:
-  navfilter mission --init dive.mcap --out dive              writes dive/mission.toml and dive/vehicle.toml
-  navfilter mission --init 2024-05-04.tlog --vehicle-like bluerov2
-  navfilter mission --init 'segment_*.dat' --vehicle-like glider --out glider
-  navfilter mission dive.mcap                                only lists the topics
-"""
 #: The kinds of `navfilter.io.logs.draft_vehicle.LIKE`, stated here so that --help answers at once.
 KINDS = ("bluerov2", "survey", "glider", "yacht")
 
@@ -35,11 +23,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
     parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
     add_unpacking_argument(parser)
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter mission``."""
+    """Write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...) or a table (CSV).
+
+    Lists the topics of the log with their rates, gaps and first values, and maps those of a known kind: what drives,
+    what corrects. Both files replay as they are; lines that begin with GUESSED say what was not known for certain.
+    Without --init the log is only listed.
+
+    examples:
+      navfilter mission --init dive.mcap --out dive              writes dive/mission.toml and dive/vehicle.toml
+      navfilter mission --init 2024-05-04.tlog --vehicle-like bluerov2
+      navfilter mission --init 'segment_*.dat' --vehicle-like glider --out glider
+      navfilter mission dive.mcap                                only lists the topics
+    """
     from navfilter.io.logs.draft import draft, survey_of
     from navfilter.io.logs.survey import survey_text
 

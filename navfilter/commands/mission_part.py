@@ -14,21 +14,6 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.playback.held_out import Withheld
 
-#: Stands below the help of the command.
-SELECTION = """\
-times are those of the mission clock, as in report.html and track.csv; with a plus they count from the recording's
-first reading (+300).
-  --withhold gps:300-900            no fix from 300 to 900 s; the track is scored against the fixes withheld
-  --withhold gps:300-900,+2000-     and none after 2000 s of the recording
-  --withhold gps:all-but-first-120  only those of its first 120 s
-  --during dvl:300-360:off          as [[during]] of a mission.toml: no DVL from 300 to 360 s
-  --during compass:900-:noise=3     its noise three times as large from then on
-  --start latitude_deg=47.1,longitude_deg=8.2,heading_deg=90,heading_sd_deg=2
-                                    any of: time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg,
-                                    heading_deg, position_sd_m, velocity_sd_m_s, tilt_sd_deg, heading_sd_deg;
-                                    the others stay as they are
-  --start align                     not as the mission says, but by an alignment on the first readings
-"""
 _TIME = r"\+?\d+(?:\.\d*)?(?:e\d+)?"
 
 

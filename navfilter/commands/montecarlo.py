@@ -12,27 +12,6 @@ from typing import Any
 
 from navfilter.commands import console
 
-ABOUT = "repeat a simulated scenario with many seeds and compare error models over all runs"
-EPILOG = """\
-one mission is simulated per seed and replayed with every model, so that models meet the same missions:
-  white        white noise, fitted to the mission          arma       learns from scratch, under way
-  gm1          Gauss-Markov through the 1/e point          oracle     the simulator's own model
-  gm1-fitted   Gauss-Markov by likelihood, whole mission   vehicle    as the vehicle's description says
-
-written to --out:
-  table.txt, results.csv, results.json   figures with 95 % intervals, and ratios with paired intervals; the same by
-                                         slots of the mission (slots.csv), and the bars that arma has to keep to
-  runs.npz (and runs.parquet)            every run
-  envelope-*.png, nees.png, end-error.png
-  runs/                                  finished runs: the same command continues a campaign that was stopped
-
-examples:
-  navfilter montecarlo --list
-  navfilter montecarlo --scenario compass-rolling --runs 50
-  navfilter montecarlo compass-slow-10min --seeds 50 --rivals arma,gm1-fitted,oracle,vehicle --no-smooth --no-figures
-  navfilter montecarlo --scenario compass-gm2 --motion transit --gyro mems --runs 50 --models gm1-fitted,arma,oracle
-  navfilter montecarlo --scenario dvl-coloured --runs 1000 --dask tcp://10.0.0.1:8786
-"""
 _DEFAULT = "white,gm1,gm1-fitted,arma,oracle"
 
 
@@ -60,11 +39,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     add("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
     console.add_force_argument(parser)
-    add("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter montecarlo``."""
+    """Repeat a simulated scenario with many seeds and compare error models over all runs.
+
+    one mission is simulated per seed and replayed with every model, so that models meet the same missions:
+      white        white noise, fitted to the mission          arma       learns from scratch, under way
+      gm1          Gauss-Markov through the 1/e point          oracle     the simulator's own model
+      gm1-fitted   Gauss-Markov by likelihood, whole mission   vehicle    as the vehicle's description says
+
+    written to --out:
+      table.txt, results.csv, results.json   figures with 95 % intervals, and ratios with paired intervals; the same by
+                                             slots of the mission (slots.csv), and the bars that arma has to keep to
+      runs.npz (and runs.parquet)            every run
+      envelope-*.png, nees.png, end-error.png
+      runs/                                  finished runs: the same command continues a campaign that was stopped
+
+    examples:
+      navfilter montecarlo --list
+      navfilter montecarlo --scenario compass-rolling --runs 50
+      navfilter montecarlo compass-slow-10min --seeds 50 --rivals arma,oracle,vehicle --no-smooth --no-figures
+      navfilter montecarlo --scenario compass-gm2 --motion transit --gyro mems --runs 50 --models gm1-fitted,arma,oracle
+      navfilter montecarlo --scenario dvl-coloured --runs 1000 --dask tcp://10.0.0.1:8786
+    """
     from navfilter.simulation.campaigns import STUDIES
 
     if options.list:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import io
 import json
 import math
@@ -148,12 +147,12 @@ def _replayed(name: str, options: argparse.Namespace, replay: Callable[[argparse
 
 
 def _write(rows: list[Replayed], folder: Path) -> None:
-    plain = [{key: None if value != value else value for key, value in vars(row).items()} for row in rows]
-    (folder / SUMMARY).write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
-    with (folder / TABLE).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(plain[0]))
-        writer.writeheader()
-        writer.writerows(plain)
+    import pandas as pd
+
+    from navfilter.io.write import write_json
+
+    write_json([vars(row) for row in rows], folder / SUMMARY)
+    pd.DataFrame([vars(row) for row in rows]).to_csv(folder / TABLE, index=False)
 
 
 def _write_constants(names: list[str], folder: Path) -> str:
@@ -184,15 +183,13 @@ def _write_constants(names: list[str], folder: Path) -> str:
 
 
 def _table(rows: list[Replayed]) -> str:
-    def cell(value: float, form: str) -> str:
-        return "-" if math.isnan(value) else format(value, form)
+    from navfilter.rendering.page import table_text
 
-    wide = max(len("recording"), *(len(row.recording) for row in rows))
-    lines = [f"{'recording':{wide}}  {'min':>7}  {'distance m':>10}  {'rms m':>7}  {'sd end m':>8}  {'cpu s':>6}  exit"]
+    header = ["recording", "min", "distance m", "rms m", "sd end m", "cpu s", "exit"]
+    lines = []
     for row in rows:
-        minutes, distance = cell(row.duration_s / 60.0, ".1f"), cell(row.distance_m, ".0f")
-        rms, sd, cpu = cell(row.position_rms_m, ".2f"), cell(row.sd_end_m, ".2f"), cell(row.cpu_s, ".1f")
-        lines.append(
-            f"{row.recording:{wide}}  {minutes:>7}  {distance:>10}  {rms:>7}  {sd:>8}  {cpu:>6}  {row.exit_code:>4}"
-        )
-    return "\n".join(lines)
+        figures = (row.duration_s / 60.0, row.distance_m, row.position_rms_m, row.sd_end_m, row.cpu_s)
+        forms = (".1f", ".0f", ".2f", ".2f", ".1f")
+        cells = ["-" if math.isnan(value) else f"{value:{form}}" for value, form in zip(figures, forms, strict=True)]
+        lines.append([row.recording, *cells, str(row.exit_code)])
+    return table_text(header, lines)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands import console, formats, mission_part
+from navfilter.commands import console, mission_part
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
@@ -21,67 +21,21 @@ if TYPE_CHECKING:
     from navfilter.playback.held_out import Withheld
     from navfilter.track.track import Track
 
+
+from typing import TYPE_CHECKING
+
+from navfilter.io.tracks.formats import FORMATS, is_nowhere
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from navfilter.models.mission import Mission
+    from navfilter.track.track import Track
+
 #: Exit codes of a run whose track is not to be trusted, and of one that nothing in the mission can judge.
 NOT_TRUSTED, NOT_JUDGED = 1, 3
-#: What the command is about, in one line, and what stands below its help.
-DEMO = (
-    "simulate a mission of one hour, replay it with a compass error that is learnt on the way, and compare",
-    """\
-the mission:
-  satellite fixes at the surface, dive to 20 m, lawnmower by inertial unit, compass, DVL and depth gauge,
-  with outliers and three losses of the DVL (60, 120 and 30 s), surfacing, fixes again.
-  The compass errs slowly and swings with a period of 6 s; vehicle.toml believes in a slow error only.
-
-written to --out:
-  report.html, track.*    the run that learns, filtered and smoothed, as from 'navfilter replay'
-  comparison/             the same mission with white noise, Gauss-Markov, the learnt model and the true one
-  mission.npz, vehicle.toml, vehicle_true.toml
-
-examples:
-  navfilter demo
-  navfilter demo --seed 7 --out demo-7        the same mission with other noise
-""",
-)
-REPLAY = (
-    "run a recorded mission through the filter (and the smoother)",
-    f"""\
-MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is on
-board. Several MISSIONs are replayed side by side, each into a folder of its own below --out; recordings.csv and
-recordings.json there hold a line for each. One that cannot be read stops none of the others.
-
-{mission_part.SELECTION}
-written to --out:
-  report.html     verdict, tables and figures that can be zoomed, one file that works offline (not with --no-report)
-  summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
-                  without a truth: surfacings, longest outage, predicted sd, how far the smoothed track lies
-                  from the forward one
-{formats.FILES}
-  truth.tum       the truth, where there is one, beside track.tum
-  vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the models
-                  in force at the end put in as 'adopted'; the output says in words what was learnt, the report
-                  shows the spectra
-
-UTC: stamps in seconds since 1970, dates with time, and most logs bring it; else 'epoch' in the mission.toml says at
-what UTC the stamps read zero. track.csv then has a column time_utc, and the other files have dates. Without it they
-have times of the mission clock (KML and GPX none), and --sbet is refused.
-
-exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are
-written all the same); 2 wrong usage or input; 3 the track is not judged: what drives was not measured, or nothing on
-board corrects it; 130 interrupted. The verdict stands at the end of the output, in
-summary.json and on top of the report. Of several MISSIONs: the worst of their codes.
-
-examples:
-  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
-  navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
-  navfilter replay dives/* --vehicle vehicle.toml --smooth --out season --workers 4     each to a folder of its own
-  navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
-  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit dvl.scale=0.1%
-  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --control gates.csv    against surveyed places
-  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --backward    against an independent run
-  navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
-  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
-""",
-)
+#: What every replay writes of a track, for the text of a help.
+_FILES = "\n".join(f"  {'track' + form.suffix:15} {form.about}" for form in FORMATS if form.always)
 
 
 def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,8 +45,7 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=console.whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
     add("--duration", type=console.positive, metavar="S", help="length of the mission in seconds (default: one hour)")
     console.add_force_argument(parser)
-    add("--quiet", action="store_true", help="print nothing but errors")
-    formats.add_arguments(parser)
+    _add_formats(parser)
 
 
 #: What the demonstration compares; the third is the result.
@@ -100,17 +53,31 @@ _COMPARED = ("white", "gm1-fitted", "arma", "oracle")
 
 
 def demo(options: argparse.Namespace) -> int:
-    """Run ``navfilter demo``."""
+    """Simulate a mission of one hour, replay it with a compass error that is learnt on the way, and compare.
+
+    the mission:
+      satellite fixes at the surface, dive to 20 m, lawnmower by inertial unit, compass, DVL and depth gauge,
+      with outliers and three losses of the DVL (60, 120 and 30 s), surfacing, fixes again.
+      The compass errs slowly and swings with a period of 6 s; vehicle.toml believes in a slow error only.
+
+    written to --out:
+      report.html, track.*    the run that learns, filtered and smoothed, as from 'navfilter replay'
+      comparison/             the same mission with white noise, Gauss-Markov, the learnt model and the true one
+      mission.npz, vehicle.toml, vehicle_true.toml
+
+    examples:
+      navfilter demo
+      navfilter demo --seed 7 --out demo-7        the same mission with other noise
+    """
     from navfilter.commands import compare as compare_command
 
     folder = console.output_folder(options.out, options.force)
     say = console.speaker(options.quiet)
     say("simulating the mission ...")
-    from navfilter.simulation.scenarios import simulate_scenario
-    from navfilter.simulation.truth import true_vehicle
+    from navfilter.simulation.scenarios import simulate_scenario, true_vehicle
 
     vehicle, mission = simulate_scenario("demo", options.seed, options.duration)
-    formats.check(options, mission)
+    _check_formats(options, mission)
     truth = true_vehicle("demo", options.duration)
     save(vehicle, mission, folder / "mission.npz", folder / "vehicle.toml", truth)
     errors = None if truth is None else compare_command.true_errors(vehicle, truth)
@@ -173,18 +140,67 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     about = "run the mission from its end to its beginning too, independently, and hold both runs against each other"
     add("--backward", action="store_true", help=about)
     mission_part.add_arguments(parser)
+    parser.epilog = (parser.epilog or "").replace("<files>", _FILES)
     about = "rows of the track per second; all: one at every sample of the drive (default: %(default)s)"
     add("--output-rate", type=console.row_rate, default=5.0, metavar="HZ", help=about)
     about = "processes for several MISSIONs (default: as many as there are processors)"
     add("--workers", type=console.whole, metavar="N", help=about)
     about = "no report.html: drawing its figures takes longer than the filter and smoother do"
     add("--no-report", action="store_false", dest="report", help=about)
-    add("--quiet", action="store_true", help="print nothing but errors")
-    formats.add_arguments(parser)
+    _add_formats(parser)
 
 
 def replay(options: argparse.Namespace) -> int:
-    """Run ``navfilter replay``."""
+    """Run a recorded mission through the filter (and the smoother).
+
+    MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is
+    on board. Several MISSIONs are replayed side by side, each into a folder of its own below --out; recordings.csv and
+    recordings.json there hold a line for each. One that cannot be read stops none of the others.
+
+    times are those of the mission clock, as in report.html and track.csv; with a plus they count from the recording's
+    first reading (+300).
+      --withhold gps:300-900            no fix from 300 to 900 s; the track is scored against the fixes withheld
+      --withhold gps:300-900,+2000-     and none after 2000 s of the recording
+      --withhold gps:all-but-first-120  only those of its first 120 s
+      --during dvl:300-360:off          as [[during]] of a mission.toml: no DVL from 300 to 360 s
+      --during compass:900-:noise=3     its noise three times as large from then on
+      --start latitude_deg=47.1,longitude_deg=8.2,heading_deg=90,heading_sd_deg=2
+                                        any of: time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg,
+                                        heading_deg, position_sd_m, velocity_sd_m_s, tilt_sd_deg, heading_sd_deg;
+                                        the others stay as they are
+      --start align                     not as the mission says, but by an alignment on the first readings
+
+    written to --out:
+      report.html     verdict, tables and figures that can be zoomed, one file that works offline (not with --no-report)
+      summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
+                      without a truth: surfacings, longest outage, predicted sd, how far the smoothed track lies
+                      from the forward one
+    <files>
+      truth.tum       the truth, where there is one, beside track.tum
+      vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the
+                      models in force at the end put in as 'adopted'; the output says in words what was learnt, the
+                      report shows the spectra
+
+    UTC: stamps in seconds since 1970, dates with time, and most logs bring it; else 'epoch' in the mission.toml says at
+    what UTC the stamps read zero. track.csv then has a column time_utc, and the other files have dates. Without it they
+    have times of the mission clock (KML and GPX none), and --sbet is refused.
+
+    exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files
+    are written all the same); 2 wrong usage or input; 3 the track is not judged: what drives was not measured, or
+    nothing on board corrects it; 130 interrupted. The verdict stands at the end of the output, in summary.json and on
+    top of the report. Of several MISSIONs: the worst of their codes.
+
+    examples:
+      navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
+      navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
+      navfilter replay dives/* --vehicle vehicle.toml --smooth --out season --workers 4     each to a folder of its own
+      navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift  how far it drifts
+      navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit scale=0.1%
+      navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --control gates.csv  at surveyed places
+      navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --backward    against an independent run
+      navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
+      navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap  for Google Earth and Foxglove
+    """
     from navfilter.io import read_vehicle
 
     if options.passes != 1 and not options.smooth:
@@ -209,12 +225,12 @@ def replay_one(options: argparse.Namespace) -> int:
     mission = mission_part.with_instructions(options, console.read(options))
     vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), mission)
     mission, withheld = mission_part.select(options, mission, vehicle)
-    formats.check(options, mission)
+    _check_formats(options, mission)
     if limits := console.limits_of(options):  # a mistake in them shall not cost a replay
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
     if options.tiles:
-        from navfilter.report.chart import check_tiles
+        from navfilter.report.plan_view import check_tiles
 
         check_tiles(Path(options.tiles))
     folder = console.output_folder(options.out, options.force)
@@ -282,10 +298,10 @@ def _write(
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
     result = list(tracks.values())[-1]
-    written += formats.write_own_formats(options, result, folder)
+    written += _write_own_formats(options, result, folder)
     report = folder / "report.html"
     if drawn:
-        from navfilter.io.tracks.reading import read_track
+        from navfilter.io.tracks.table import read_track
         from navfilter.report.report import write_report
 
         others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]
@@ -328,3 +344,52 @@ def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assess
         console.show(lights_text(assessment.lights))
     console.show(f"\n{assessment.verdict}")
     console.show(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")
+
+
+# --- further files of the track -------------------------------------------------------------------------------------
+
+
+def _add_formats(parser: argparse.ArgumentParser) -> None:
+    """Add an option for each further format of the track, from their one table."""
+    group = parser.add_argument_group(
+        "further files of the track, for other programs (in Python: nf.write_track(track, 'dive.kml'))"
+    )
+    for form in FORMATS:
+        if not form.always:
+            needs = [f'pip install "navfilter[{form.extra}]"'] * bool(form.extra) + ["needs UTC"] * form.utc
+            group.add_argument(
+                f"--{form.name}",
+                dest="formats",
+                action="append_const",
+                const=form.name,
+                default=[],
+                help=f"track{form.suffix}, {form.about}" + (f" ({'; '.join(needs)})" if needs else ""),
+            )
+    about = "a table of your own: its file name, separators and columns, see 'Files for other programs' in the manual"
+    group.add_argument("--format", dest="own_formats", action="append", default=[], metavar="TOML", help=about)
+
+
+def _write_own_formats(options: argparse.Namespace, track: Track, folder: Path) -> list[Path]:
+    """The tables of ``--format``."""
+    from navfilter.io.tracks.own_columns import read_format, write_own
+
+    return [write_own(track, folder, read_format(path)) for path in options.own_formats]
+
+
+def _check_formats(options: argparse.Namespace, mission: Mission) -> None:
+    """Refuse before the run what could not be written after it.
+
+    Raises
+    ------
+    ValueError
+        See `navfilter.io.tracks.formats.TrackFormat.check`.
+    """
+    for path in options.own_formats:
+        from navfilter.io.tracks.own_columns import read_format
+
+        read_format(path)
+    start = mission.start
+    nowhere = start is not None and is_nowhere(start.latitude_deg, start.longitude_deg)
+    for form in FORMATS:
+        if form.name in options.formats:
+            form.check(mission, nowhere)

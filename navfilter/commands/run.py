@@ -12,56 +12,6 @@ from typing import Any
 from navfilter.commands.console import announce_compilation, positive
 from navfilter.foundation.quoting import printable
 
-ABOUT = "navigate live: readings in, states out, as line-delimited JSON"
-EPILOG = """\
-readings, one per line, in SI units and radians; null is a missing component:
-  {"sensor": "imu", "time_s": 12.34, "rate_b": [0.0, 0.0, 0.01], "force_b": [0.1, 0.0, -9.8]}
-  {"sensor": "compass", "time_s": 12.34, "value": 1.57}
-  {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2, 2, 5]}
-A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the
-white standard deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
-
-sources: instruments that navfilter itself connects to, and again when they go. A Water Linked DVL:
-  --source waterlinked://192.168.194.95             its velocity is the sensor "dvl"; port 16171
-  --source 'waterlinked://192.168.194.95?velocity=velocity&position_local=attitude'
-                                                    reports velocity, velocity_water, position_local -> names of sensors
-  Stamps are those of this computer [s since 1970], less the time that the instrument says it took; with
-  clock=instrument its own. All other readings must come with the same clock. With --source and without --input or
-  --listen nothing else is read.
-
-the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or
-  else an alignment on the first seconds (level by the accelerometers, heading by the compass, place by a fix);
-  "waiting" events tell what it lacks.
-
-states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age of
-  each sensor, what became of its readings. Lines with an "event" tell of everything else.
-
-the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log
-  DIR' gives the output of the run again, bit for bit. With --log (or --state) a run that was killed goes on with
-  --resume as if nothing had happened. When snapshot or log do not fit, --resume=best (the default) goes on from the
-  best there is and tells what it left; --resume=strict refuses.
-
-what is around the navigation never stops it: a reader that is slow or gone, a full disk, a deleted log, a terminal that
-  hangs up are told, counted, and tried again.
-
-supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --health-file is one line of JSON for
-  anybody else, whose "unix_s" is the time it was written: when that is more than five seconds ago, the run hangs or is
-  no more.
-
-exit codes:
-  0  the end was ordered: Ctrl-C, SIGTERM (also while it still compiles or resumes), or the end of the input
-  1  the input failed, or ended before its first reading; with --replay-log: the reader of the output has gone
-  2  it could not begin: wrong usage, a file or an address that cannot be used, a log that another process is writing
- 130 Ctrl-C before anything had been opened; anything else, a signal's number included, is no ordered end
-
-examples:
-  driver | navfilter run --vehicle auv.toml --start start.toml | publisher
-  navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --rate-hz 10
-  navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --resume
-  driver | navfilter run --vehicle auv.toml --input - --source waterlinked://192.168.194.95
-  navfilter run --replay-log dive_042 > states.jsonl
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter run``."""
@@ -92,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "with --listen: a client without a reading for so long loses its place to one that comes (default: 10)"
     add("--client-timeout", type=positive, default=10.0, metavar="S", help=about)
     add("--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor")
-    add("--quiet", action="store_true", help="print nothing but errors to standard error")
 
 
 def _date(text: str) -> datetime.date:
@@ -103,7 +52,57 @@ def _date(text: str) -> datetime.date:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter run``."""
+    """Navigate live: readings in, states out, as line-delimited JSON.
+
+    readings, one per line, in SI units and radians; null is a missing component:
+      {"sensor": "imu", "time_s": 12.34, "rate_b": [0.0, 0.0, 0.01], "force_b": [0.1, 0.0, -9.8]}
+      {"sensor": "compass", "time_s": 12.34, "value": 1.57}
+      {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2, 2, 5]}
+    A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the
+    white standard deviation of this one reading. A line that is no reading is counted and told, and never stops the
+    run.
+
+    sources: instruments that navfilter itself connects to, and again when they go. A Water Linked DVL:
+      --source waterlinked://192.168.194.95             its velocity is the sensor "dvl"; port 16171
+      --source 'waterlinked://192.168.194.95?velocity=velocity&position_local=attitude'
+                                                        reports velocity, velocity_water, position_local -> sensors
+      Stamps are those of this computer [s since 1970], less the time that the instrument says it took; with
+      clock=instrument its own. All other readings must come with the same clock. With --source and without --input or
+      --listen nothing else is read.
+
+    the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0},
+      or else an alignment on the first seconds (level by the accelerometers, heading by the compass, place by a fix);
+      "waiting" events tell what it lacks.
+
+    states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age
+      of each sensor, what became of its readings. Lines with an "event" tell of everything else.
+
+    the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run
+      --replay-log DIR' gives the output of the run again, bit for bit. With --log (or --state) a run that was killed
+      goes on with --resume as if nothing had happened. When snapshot or log do not fit, --resume=best (the default)
+      goes on from the best there is and tells what it left; --resume=strict refuses.
+
+    what is around the navigation never stops it: a reader that is slow or gone, a full disk, a deleted log, a terminal
+      that hangs up are told, counted, and tried again.
+
+    supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --health-file is one line of JSON for
+      anybody else, whose "unix_s" is the time it was written: when that is more than five seconds ago, the run hangs or
+      is no more.
+
+    exit codes:
+      0  the end was ordered: Ctrl-C, SIGTERM (also while it still compiles or resumes), or the end of the input
+      1  the input failed, or ended before its first reading; with --replay-log: the reader of the output has gone
+      2  it could not begin: wrong usage, a file or an address that cannot be used, a log that another process is
+         writing
+     130 Ctrl-C before anything had been opened; anything else, a signal's number included, is no ordered end
+
+    examples:
+      driver | navfilter run --vehicle auv.toml --start start.toml | publisher
+      navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --rate-hz 10
+      navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --resume
+      driver | navfilter run --vehicle auv.toml --input - --source waterlinked://192.168.194.95
+      navfilter run --replay-log dive_042 > states.jsonl
+    """
     closed = _open_standard_descriptors()
     from navfilter.service.output import Outlet
 
@@ -136,10 +135,9 @@ def _open_standard_descriptors() -> list[int]:
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     from navfilter.io import read_vehicle
-    from navfilter.service.loop import replay_log
+    from navfilter.service.loop import Service, replay_log
     from navfilter.service.loop import run as run_loop
     from navfilter.service.session import Options
-    from navfilter.service.setup import Service
     from navfilter.service.waterlinked import waterlinked
 
     _check(options)

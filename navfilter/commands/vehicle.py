@@ -9,18 +9,6 @@ from navfilter.commands.console import speaker
 
 OK, FOUND = 0, 1
 
-ABOUT = "write a commented vehicle.toml to start from, or say what one describes and whether it is plausible"
-EPILOG = """\
---check prints the drive, the sensors with their error models in plain words, the number of states, and warns of numbers
-that look like another unit than their key says. Exit code: 0 all is well, 1 something looks wrong, 2 the file cannot be
-read.
-
-examples:
-  navfilter vehicle --init                                  writes vehicle.toml here
-  navfilter vehicle --init dive_042 --drive dead-reckoning  into a folder, for a vehicle without an inertial unit
-  navfilter vehicle --check dive_042/vehicle.toml
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
@@ -32,12 +20,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "with --init: what carries the state (default: %(default)s)"
     parser.add_argument("--drive", choices=("imu", "imus", "dead-reckoning"), default="imu", help=about)
     parser.add_argument("--force", action="store_true", help="with --init: replace a file that is there")
-    about = "print nothing but errors; of --check only the exit code counts"
-    parser.add_argument("--quiet", action="store_true", help=about)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run ``navfilter vehicle``."""
+    """Write a commented vehicle.toml to start from, or say what one describes and whether it is plausible.
+
+    --check prints the drive, the sensors with their error models in plain words, the number of states, and warns of
+    numbers that look like another unit than their key says. Exit code: 0 all is well, 1 something looks wrong, 2 the
+    file cannot be read.
+
+    examples:
+      navfilter vehicle --init                                  writes vehicle.toml here
+      navfilter vehicle --init dive_042 --drive dead-reckoning  into a folder, for a vehicle without an inertial unit
+      navfilter vehicle --check dive_042/vehicle.toml
+    """
     return _init(options) if options.check is None else _check(options)
 
 

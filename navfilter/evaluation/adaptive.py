@@ -13,17 +13,17 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.faults.innovation_gate import whole_residual
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.filter.actions import Action, Readmit
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White
 from navfilter.models.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 #: R stays within these multiples of the R that is described [1].
 FLOOR, CEILING = 0.1, 100.0
 

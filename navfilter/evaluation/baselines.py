@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.adaptive import RULES, adaptive_monitor, as_white
+from navfilter.foundation.arrays import Array
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.learned_arma import LearnedArma, known_white, learned_part
@@ -27,7 +27,6 @@ from navfilter.track.track import Track
 
 __all__ = ["LEAST"]
 
-Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 Series = Mapping[str, tuple[ChannelSeries, ...]]
 

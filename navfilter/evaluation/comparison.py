@@ -11,19 +11,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.consistency import figures_of
 from navfilter.filter.records import Residuals
 from navfilter.foundation.arguments import intervals, needs, within
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.quoting import json_value
 from navfilter.models.mission import Stream
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
 
 #: Rows of the table that need a truth: name, key, format, whether a ratio to the baseline makes sense.
@@ -38,7 +37,7 @@ _ROWS = (
 
 
 def compare(
-    tracks: Mapping[str, Track],
+    tracks: Tracks,
     truth: Stream | None = None,
     *,
     begin_s: float | None = None,
@@ -96,7 +95,7 @@ def compare(
     return Comparison(runs, scored, baseline)
 
 
-def _scored_windows(tracks: Mapping[str, Track], begin_s: float | None, windows: Windows) -> Windows:
+def _scored_windows(tracks: Tracks, begin_s: float | None, windows: Windows) -> Windows:
     """The times that are scored: what is left of the windows after `begin_s`."""
     first, last = (f(float(t.time_s[i]) for t in tracks.values()) for f, i in ((min, 0), (max, -1)))
     start = first if begin_s is None else float(begin_s)
@@ -117,7 +116,7 @@ def _cut(track: Track, windows: Windows) -> Track:
     return dataclasses.replace(track, residuals=kept)
 
 
-def _common(tracks: Mapping[str, Track]) -> dict[str, Array]:
+def _common(tracks: Tracks) -> dict[str, Array]:
     """Times of the readings of each sensor that all runs with that sensor have used."""
     result: dict[str, Array] = {}
     for track in tracks.values():

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.arguments import within
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Stream
 from navfilter.models.sensors import Sensor, traits
 from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
 from navfilter.track.track import ERRORS, Track
 
-Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
 
 #: Innovations are tested for whiteness over so many lags, and only where there are so many of them.

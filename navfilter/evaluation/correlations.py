@@ -9,18 +9,17 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from navfilter.check.finding import Finding
 from navfilter.evaluation.calibration_states import constants
+from navfilter.foundation.arrays import Array
 from navfilter.kernels.strapdown import gravity
 from navfilter.models.mission import Mission
 from navfilter.models.sensors import Sensor
 from navfilter.models.state import matrix_from_euler
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: A mission without any cause says a false word once in so many.
 FALSE_ALARMS = 1e-4
 #: A correlation below this explains less than two hundredths of the residuals' variance: so much does noise of a poor

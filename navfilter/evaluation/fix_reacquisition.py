@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 #: A time without fixes is an outage when it is longer than this [s], and than so many of their usual steps.
 OUTAGE_S, OUTAGE_STEPS = 30.0, 5.0

@@ -8,17 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
+from navfilter.foundation.arrays import Array
+from navfilter.models.error_models import Arma, Cycle, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.interpretation import Component, number, stationary_parts
 from navfilter.models.learned_arma import LearnedArma, learned_part
-from navfilter.models.periodic_error import Cycle
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.timeseries.model import ArmaModel
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 #: Of a pair of poles nearer to the negative axis than this the period means nothing: about two samples.
 SHORTEST_PERIOD = 2.5

@@ -23,6 +23,7 @@ from navfilter.check.course import WRONG, part_of, stated_direction
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.arrays import Array
 from navfilter.learning.batch import learning_sensors
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset
@@ -32,7 +33,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import learns, replay
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: Share of its sd by which a constant may move while the run is to stay what it was.
 HARDLY = 0.03
 #: A constant is tried whose evidence (the logarithm of how much likelier the readings are with it than without) is

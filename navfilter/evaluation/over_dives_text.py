@@ -6,17 +6,16 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.calibration.over_dives import TOGETHER, OverDives, Weighed, known_words, models_of, posterior
 from navfilter.evaluation.learned_text import Scale, density_of, error_words
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.scaled_errors import scaled
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.spectrum import Spectrum
 from navfilter.models.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 #: From one period in so many samples up to half the rate, at so many frequencies.
 LONGEST, FREQUENCIES = 2000, 60
 

@@ -20,7 +20,6 @@ from typing import Any, TypeVar, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 #: Annotations of fields whose own `copy` is a whole one.

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 
-Array = NDArray[np.float64]
 _NS = 1_000_000_000
 #: Stamps from September 2001 to the end of 2099 count from 1970 [s]; no other clock of a vehicle stands there but
 #: that of GPS, and a mission says when it is that one.

@@ -7,12 +7,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from navfilter.foundation.arrays import Array
 from navfilter.io.series import Series
-
-Array = NDArray[np.float64]
 
 MAX_SAMPLES = 50_000
 LEAST_SAMPLES = 50

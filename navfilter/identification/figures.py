@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification
-from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line
+from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw, line
+from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
 from navfilter.timeseries.diagnostics import WT_WHITE, acf, pacf
 from navfilter.timeseries.roots import root_sd
-
-Array = NDArray[np.float64]
 
 SAMPLE, MODEL, GREY = COLOURS[1], COLOURS[5], "#777777"
 LAGS = 50
@@ -106,20 +106,16 @@ def spectrum_figure(found: Identification, unit: str) -> Figure:
     """Sample spectrum, averaged in bands that widen with frequency, and the model's."""
     data, fit = found.data, found.fit
     x, rate = bridged(data.value), data.rate_hz
-    figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
-    ax = figure.subplots()
     freq, power = _spectrum(x, rate)
-    ax.loglog(freq, power, color=SAMPLE, linewidth=0.8, label="samples")
     grid = np.geomspace(freq[0], 0.5 * rate, 600)
-    ax.loglog(grid, fit.model.spectrum(grid, rate), color=MODEL, linewidth=1.5, label=_order_text(found))
-    ax.set_xlabel("frequency [Hz]")
-    ax.set_ylabel(_labelled("density", f"{_squared(unit)}/Hz" if unit else "1/Hz"))
-    ax.legend()
-    return figure
+    model = Line(grid, fit.model.spectrum(grid, rate), _order_text(found), MODEL, width=1.5)
+    label = _labelled("density", f"{_squared(unit)}/Hz" if unit else "1/Hz")
+    panel = Panel(label, (Line(freq, power, "samples", SAMPLE, width=0.8), model), log=True)
+    return draw(Stack((panel,), 2.3, x_label="frequency [Hz]", log_x=True))
 
 
 def _squared(unit: str) -> str:
-    return f"({unit})$^2$" if "/" in unit else f"{unit}$^2$"
+    return f"({unit})²" if "/" in unit else f"{unit}²"
 
 
 def _spectrum(x: Array, rate: float) -> tuple[Array, Array]:
@@ -280,23 +276,20 @@ def _zoom(poles: NDArray[np.complex128], zeros: NDArray[np.complex128]) -> float
 
 def allan_figure(found: Identification, unit: str) -> Figure:
     """Allan deviation of record and model."""
-    figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
-    ax = figure.subplots()
     tau, deviation = found.allan_tau_s, found.allan
     # Relative spread of an overlapping estimate from N/m independent averages.
     spread = 1.0 / np.sqrt(2.0 * np.maximum(tau[-1] * 3.0 / tau - 1.0, 0.5))
-    ax.fill_between(tau, deviation / (1.0 + spread), deviation * (1.0 + spread), color=SAMPLE, alpha=0.2, linewidth=0.0)
-    ax.loglog(tau, deviation, color=SAMPLE, label="record")
+    parts: list[Part] = [
+        Band(tau, deviation / (1.0 + spread), deviation * (1.0 + spread), "", SAMPLE, 0.2),
+        Line(tau, deviation, "record", SAMPLE),
+    ]
     if np.isfinite(found.allan_model).any():
-        ax.loglog(tau, found.allan_model, color=MODEL, linestyle=(0, (5, 1.5)), linewidth=1.5, label=_order_text(found))
+        parts.append(Line(tau, found.allan_model, _order_text(found), MODEL, (0, (5, 1.5)), 1.5))
     rounding, low = found.data.step / math.sqrt(12.0), float(deviation[deviation > 0.0].min())
     if rounding > 0.5 * low:
-        label = "quantisation of one sample"
-        ax.axhline(rounding, color=GREY, linewidth=0.8, linestyle=(0, (1, 1.5)), label=label)
-    if np.isfinite(found.allan_model).any():
-        low = min(low, float(np.nanmin(found.allan_model)))
-    ax.set_ylim(0.5 * low, 2.0 * float(max(deviation.max(), np.nanmax(np.r_[found.allan_model, 0.0]))))
-    ax.set_xlabel("averaging time [s]")
-    ax.set_ylabel(_labelled("Allan deviation", unit))
-    ax.legend()
-    return figure
+        level = np.full(tau.size, rounding)
+        parts.append(Line(tau, level, "quantisation of one sample", GREY, (0, (1, 1.5)), 0.8))
+    low = float(np.nanmin(np.r_[found.allan_model, low]))
+    limits = 0.5 * low, 2.0 * float(np.nanmax(np.r_[found.allan_model, deviation]))
+    panel = Panel(_labelled("Allan deviation", unit), tuple(parts), limits, log=True)
+    return draw(Stack((panel,), 2.3, x_label="averaging time [s]", log_x=True))

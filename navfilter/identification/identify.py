@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value
 from navfilter.identification.conditioning import Conditioned, bridged, condition, gap_free
 from navfilter.io import units
@@ -24,7 +25,6 @@ from navfilter.timeseries.gauss_markov import GaussMarkovFit, fit_gauss_markov
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.order import OrderTable, cancels, select_order
 
-Array = NDArray[np.float64]
 Say = Callable[[str], Any]
 
 #: Samples per coefficient below which an order is not tried.

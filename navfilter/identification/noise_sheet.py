@@ -9,20 +9,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage, optimize, signal, stats
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.foundation.display import Shown
-from navfilter.identification.allan_curve import AllanCurve, allan_curve
 from navfilter.identification.conditioning import quantisation_step
-from navfilter.identification.cosine_spectrum import Bands, bands_of
-from navfilter.identification.noise_choice import drive_terms, sheet_terms, upper_limit, usable
-from navfilter.identification.noise_terms import NoiseFit
-from navfilter.identification.spectral_lines import Line, reach, spectral_lines
+from navfilter.identification.noise_terms import Bands, NoiseFit, bands_of, fit_terms
 from navfilter.identification.static_detection import bridged_rest, moving_together, stillness, without_defects
 from navfilter.io.inertial import ImuRecord
 from navfilter.models.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
+from navfilter.timeseries.diagnostics import allan_deviation, allan_edf
 
-Array = NDArray[np.float64]
 Say = Callable[[str], Any]
 
 #: A gyro whose mean differs by more from one stretch to another turns [rad/s]: no bias changes by half a degree a
@@ -32,6 +30,36 @@ MOST_TURN = 0.01
 MOST_LINES = 12
 #: Records shorter than this say little of what is slow [s].
 SHORT_S = 1800.0
+#: Averages per decade.
+PER_DECADE = 8
+#: Probability of an error bar: one standard deviation.
+ONE_SIGMA = 0.6827
+#: The lowest point needs so many degrees of freedom.
+LEAST_EDF = 3.0
+#: Samples of a segment at most, and segments at least.
+SEGMENT, SEGMENTS = 16384, 8
+#: Frequencies around a line that give its background; lines are not looked for among the lowest.
+AROUND, LOWEST = 101, 12
+#: Probability of finding a line in white noise; a line stands above its background by this factor at least, which no
+#: slope or filter of a unit does within a few frequencies.
+FALSE_ALARM, ABOVE = 1e-3, 1.6
+#: A broader rise than this share of its frequency is no line.
+BROAD = 0.05
+#: A term is shown where it raises twice the logarithm of the likelihood by so much: one false term in 140 records,
+#: because half of the records without it would have it negative.
+SHOWN = 6.0
+#: By so much it falls at the upper limit of 95 %, on one side.
+LIMIT = 2.71
+#: Highest frequencies that are tried, in shares of the Nyquist frequency, and by how much the density of bands may
+#: depart from the terms before a narrower range is tried.
+SHARES, DEPARTURE = (1.0, 0.5, 0.25, 0.125, 0.0625), 0.05
+#: The lower frequencies decide; more of them than this are always kept.
+LEAST_BANDS = 15
+#: How the upper limit of a logarithm is looked for.
+STEP, FAR = 1.0, 30.0
+#: A bias that fades faster is no state of a filter [s]: what integrates the drive over minutes, as the learner does,
+#: would take it for a walk (`GaussMarkov.integrated`).
+FASTEST_S = 100.0
 
 
 class NotAtRest(ValueError):
@@ -257,3 +285,250 @@ def _remarks(axes: Sequence[AxisSheet], stretches_s: Sequence[tuple[float, float
             + (": beyond the biases of most units, so a scale or a unit is wrong" if abs(apart) > 1.0 else "")
         )
     return remarks
+
+
+# --- the Allan deviation with error bars -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class AllanCurve:
+    """Overlapping Allan deviation with error bars of one standard deviation.
+
+    Attributes
+    ----------
+    tau_s, deviation, low, high, edf : ndarray, shape (m,)
+        Averaging time, deviation and its bounds [unit], equivalent degrees of freedom.
+    model : ndarray, shape (m,)
+        Deviation of the fitted terms; NaN at times shorter than the frequencies that were fitted.
+    """
+
+    tau_s: Array
+    deviation: Array
+    low: Array
+    high: Array
+    edf: Array
+    model: Array
+
+    @property
+    def lowest(self) -> int:
+        """Place of the least deviation among those that are known."""
+        known = self.edf >= min(LEAST_EDF, float(self.edf.max()))
+        return int(np.argmin(np.where(known, self.deviation, np.inf)))
+
+    @property
+    def has_floor(self) -> bool:
+        """Whether the deviation rises again behind its least value, by more than chance."""
+        k = self.lowest
+        return bool(np.any(self.low[k + 1 :] > self.high[k]))
+
+
+def allan_curve(stretches: Sequence[Array], rate_hz: float, fit: NoiseFit) -> AllanCurve:
+    """Of all stretches together, each weighted with its number of differences.
+
+    Parameters
+    ----------
+    stretches : sequence of ndarray, shape (n,)
+        Samples without gaps.
+    rate_hz : float
+    fit : NoiseFit
+        Gives the degrees of freedom, and the deviation of the model.
+    """
+    longest = max(len(x) for x in stretches)
+    top = math.log10(longest // 3)
+    counts = np.unique(np.round(np.logspace(0.0, top, int(PER_DECADE * top) + 2)).astype(np.int64))
+    total, weight, edf = (np.zeros(counts.size) for _ in range(3))
+    for x in stretches:
+        some = counts <= x.size // 3
+        number = x.size - 2.0 * counts[some] + 1.0
+        total[some] += number * allan_deviation(x, rate_hz, counts[some])[1] ** 2
+        weight[some] += number
+        edf[some] += allan_edf(counts[some], x.size, lambda f: fit.density(f, 1.0 / rate_hz), rate_hz)
+    deviation = np.sqrt(total / weight)
+    low, high = (deviation * np.sqrt(edf / stats.chi2.ppf(0.5 + sign * ONE_SIGMA / 2.0, edf)) for sign in (1.0, -1.0))
+    return AllanCurve(counts / rate_hz, deviation, low, high, edf, _model_allan(fit, counts, rate_hz))
+
+
+def _model_allan(fit: NoiseFit, counts: NDArray[np.int64], rate_hz: float) -> Array:
+    """Allan deviation of the terms of IEEE 952, as sampled."""
+    period, tau = 1.0 / rate_hz, counts / rate_hz
+    white = fit.terms[0].size ** 2
+    # of the tilt: that of quantisation, 3 Q^2 / tau^2
+    variance = white / tau + 0.75 * white * (fit.ratio - 1.0) * period / tau**2
+    if walk := fit.term("walk"):
+        variance = variance + walk.size**2 * (2.0 * counts**2 + 1.0) / (6.0 * counts) * period
+    if flicker := fit.term("flicker"):
+        variance = variance + flicker.size**2 * 2.0 * math.log(2.0) / math.pi
+    fitted = tau >= 0.45 / fit.highest_hz
+    return np.where(fitted, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+
+
+# --- lines of the spectrum -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Line:
+    """A spectral line.
+
+    Attributes
+    ----------
+    frequency_hz, width_hz : float
+        Where it is strongest, and within how much it was found (at least the resolution).
+    amplitude, sd : float
+        Of a sine of the same power [unit], and how uncertain.
+    density : float
+        Two-sided density of the noise around it [unit^2/Hz].
+    """
+
+    frequency_hz: float
+    width_hz: float
+    amplitude: float
+    sd: float
+    density: float
+
+
+def spectral_lines(stretches: Sequence[Array], rate_hz: float) -> tuple[Line, ...]:
+    """The lines of a series, the strongest first.
+
+    Parameters
+    ----------
+    stretches : sequence of ndarray, shape (n,)
+        Samples without gaps; the longest is looked at.
+    rate_hz : float
+    """
+    x = max(stretches, key=len)
+    size = min(SEGMENT, 2 * x.size // (SEGMENTS + 1))
+    if size < 4 * AROUND:
+        return ()
+    frequency, power = signal.welch(x, rate_hz, nperseg=size)
+    background = ndimage.median_filter(power, AROUND, mode="nearest")
+    # 50 % overlap with Hann's window: each pair of segments is as good as 1.9 of them
+    free = 1.9 * (2.0 * x.size / size - 1.0)
+    limit = max(float(stats.chi2.isf(FALSE_ALARM / power.size, free)) / free, ABOVE)
+    # The median of a chi-square lies below its mean.
+    background = background * free / float(stats.chi2.median(free))
+    high = power > limit * background
+    # at the Nyquist frequency there are fewer degrees of freedom
+    high[:LOWEST], high[-6:] = False, False
+    places = np.flatnonzero(high)
+    runs = np.split(places, np.flatnonzero(np.diff(places) > 2) + 1) if places.size else []
+    found = [_line(run, frequency, power, background, x.size / rate_hz, free) for run in runs]
+    return tuple(sorted((line for line in found if line is not None), key=lambda line: -line.amplitude))
+
+
+def _line(
+    run: NDArray[np.intp], frequency: Array, power: Array, background: Array, length_s: float, free: float
+) -> Line | None:
+    step = float(frequency[1])
+    if (run[-1] - run[0]) * step > max(BROAD * float(frequency[run[0]]), 6.0 * step):
+        return None
+    wide = slice(max(run[0] - 2, 0), min(run[-1] + 3, power.size))
+    above = power[wide] - background[wide]
+    variance = max(float(above.sum()) * step, 0.0)
+    peak = int(run[np.argmax(power[run])])
+    # one-sided to two-sided
+    density = 0.5 * float(background[peak])
+    middle = float(frequency[wide] @ np.maximum(above, 0.0) / np.maximum(above, 0.0).sum())
+    width = max((run[-1] - run[0]) * step, step)
+    amplitude = math.sqrt(2.0 * variance)
+    # of a sine in white noise, and of the background that was taken off the bins
+    bins = step * 2.0 * density * math.sqrt(2.0 * above.size / free)
+    sd = math.hypot(math.sqrt(2.0 * density / length_s), bins / max(amplitude, 1e-300))
+    return Line(middle, width, amplitude, sd, density)
+
+
+def reach(line: Line, length_s: float) -> tuple[float, float]:
+    """Frequencies over which a line spoils the spectrum of a record that ends within one of its periods [Hz].
+
+    Parameters
+    ----------
+    line : Line
+    length_s : float
+        Of the record.
+    """
+    # Amplitude of the coefficient m places beside the line: A sqrt(n / 2) / (pi m); it should be lost in the noise.
+    places = 3.0 * line.amplitude * math.sqrt(length_s / line.density) / math.pi
+    half = 0.5 * line.width_hz + (places + 4.0) * 0.5 / length_s
+    half = max(half, 1.5 * line.width_hz)
+    return line.frequency_hz - half, line.frequency_hz + half
+
+
+# --- which terms a record tells --------------------------------------------------------------------------------------
+
+
+def usable(bands: Bands) -> Bands:
+    """The bands below the frequency at which the unit's own filter begins to bend the spectrum otherwise than the terms
+    can.
+    """
+    kept = bands
+    for share in SHARES:
+        below = bands.below(share * 0.5 * bands.rate_hz * (1.0 + 1e-9))
+        if below.power.size < LEAST_BANDS:
+            break
+        kept = below
+        fit = fit_terms(kept, ("flicker", "walk"))
+        middle = 0.5 * (kept.low + kept.high)
+        apart = np.abs(np.log(kept.power / fit.density(middle, 1.0 / kept.rate_hz)))
+        beyond = np.maximum(apart - 2.5 * np.sqrt(2.0 / kept.count), 0.0)[kept.count > 30.0]
+        if beyond.size == 0 or float(np.sqrt(np.mean(beyond**2))) < DEPARTURE:
+            break
+    return kept
+
+
+def sheet_terms(bands: Bands) -> NoiseFit:
+    """White noise, and flicker and walk as far as they show."""
+    best = fit_terms(bands)
+    for kinds in (("flicker",), ("walk",), ("flicker", "walk")):
+        found = fit_terms(bands, kinds)
+        if 2.0 * (best.cost - found.cost) / found.dispersion > SHOWN * (found.parameters > best.parameters):
+            best = found
+    return best
+
+
+def drive_terms(bands: Bands) -> NoiseFit:
+    """White noise, with the Gauss-Markov term and the walk that a filter can have as states, by Schwarz's criterion."""
+    choices = [(), ("walk",)]
+    if 0.25 * bands.longest_s > FASTEST_S:
+        choices += [("gauss-markov",), ("gauss-markov", "walk")]
+    fits = [fit_terms(bands, kinds, fastest_s=FASTEST_S) for kinds in choices]
+    scale = min(fit.dispersion for fit in fits)
+    return min(fits, key=lambda fit: 2.0 * fit.cost / scale + fit.parameters * math.log(fit.bands))
+
+
+def upper_limit(bands: Bands, fit: NoiseFit, kind: str) -> float:
+    """Largest size of a term, at 95 %, that a record does not contradict.
+
+    Parameters
+    ----------
+    bands : Bands
+    fit : NoiseFit
+        Without that term.
+    kind : {"flicker", "walk"}
+
+    Returns
+    -------
+    float
+        NaN where the likelihood has no such point.
+    """
+    kinds = tuple(term.kind for term in fit.terms[1:])
+    with_it = fit_terms(bands, (*kinds, kind))
+    base = min(fit.cost, with_it.cost)
+
+    def rise(log_size: float) -> float:
+        found = fit_terms(bands, kinds, (kind, math.exp(log_size)))
+        return 2.0 * (found.cost - base) / fit.dispersion - LIMIT
+
+    likeliest = next(term.size for term in with_it.terms if term.kind == kind)
+    inside = math.log(max(likeliest, 1e-3 * _scale(bands, fit, kind)))
+    beyond = inside
+    while rise(beyond) < 0.0 and beyond < inside + FAR:
+        beyond += STEP
+    if not rise(inside) < 0.0 < rise(beyond):
+        return math.nan
+    return math.exp(float(optimize.brentq(rise, beyond - STEP, beyond, xtol=0.02)))
+
+
+def _scale(bands: Bands, fit: NoiseFit, kind: str) -> float:
+    """The size at which the term would be as strong as all others in the lowest band."""
+    lowest = int(np.argmin(bands.low))
+    others = fit.density(bands.low, 1.0 / bands.rate_hz)[lowest]
+    return math.sqrt(float(others / bands.mean(kind)[lowest]))

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.identification.noise_sheet import AxisSheet, NoiseSheet
 from navfilter.identification.noise_sheet_text import allan_rows, drive_toml, groups, rows, sheet_dict
 from navfilter.identification.report import write_page
 from navfilter.io.inertial import ImuRecord
-from navfilter.rendering.drawing import COLOURS, WIDTH_IN, line, style
+from navfilter.io.write import write_json
+from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw, line, style
 from navfilter.rendering.page import escape, heading_html, list_html, table_html
-
-Array = NDArray[np.float64]
+from navfilter.rendering.panels import Line, Panel, Part, Points, Stack
 
 _MARKS = ("o", "s", "^")
 #: Two-sided density to the units in which gyros and accelerometers are drawn.
@@ -46,13 +44,12 @@ def write_sheet(sheet: NoiseSheet, record: ImuRecord, folder: Path) -> list[Path
         f'<div class="wide"><pre>{escape(drive_toml(sheet))}</pre></div>',
         list_html(sheet.remarks),
     ]
-    texts = {"identify.json": json.dumps(sheet_dict(sheet), indent=1) + "\n", "drive.toml": drive_toml(sheet)}
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    data = write_json(sheet_dict(sheet), folder / "identify.json")
+    (folder / "drive.toml").write_text(drive_toml(sheet), encoding="utf-8")
     with style():
         subtitle = f"inertial unit, {sheet.rate_hz:.6g} Hz, {sheet.duration_s:.0f} s"
         figures = write_page(folder, f"Noise sheet of {sheet.source}", subtitle, body, _figures(sheet, record))
-    return [*(folder / name for name in texts), *figures]
+    return [data, folder / "drive.toml", *figures]
 
 
 def _figures(sheet: NoiseSheet, record: ImuRecord) -> Iterator[tuple[str, str, str, Figure]]:
@@ -98,28 +95,18 @@ def _allan_figure(axes: Sequence[AxisSheet]) -> Figure:
 
 
 def _spectrum_figure(axes: Sequence[AxisSheet], period_s: float) -> Figure:
-    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
-    ax = figure.subplots()
     factor, unit = _scale(axes)
+    parts: list[Part] = []
     for k, axis in enumerate(axes):
-        size, colour, bands = factor / 3.0**k, COLOURS[(1, 5, 2)[k]], axis.bands
+        size, hue, bands = factor / 3.0**k, COLOURS[(1, 5, 2)[k]], axis.bands
         middle = np.sqrt(bands.low * bands.high)
-        order = np.argsort(middle)
         label = axis.name.replace("_", " ") + ("" if k == 0 else f" / {3**k}")
-        ax.plot(middle[order], size * np.sqrt(bands.power[order]), _MARKS[k], markersize=3.0, color=colour, label=label)
-        _curve(ax, axis, middle, size, period_s, colour)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel("frequency [Hz]")
-    ax.set_ylabel(f"root density [{unit}/sqrt(Hz)]")
-    ax.legend()
-    return figure
-
-
-def _curve(ax: Axes, axis: AxisSheet, middle: Array, size: float, period_s: float, colour: str) -> None:
-    grid = np.geomspace(middle.min(), axis.sheet.highest_hz, 300)
-    ax.plot(grid, size * np.sqrt(axis.sheet.density(grid, period_s)), color=colour, linewidth=1.0)
-    ax.plot(grid, size * np.sqrt(axis.drive.density(grid, period_s)), "--", color=colour, linewidth=0.8)
+        parts.append(Points(middle, size * np.sqrt(bands.power), label, hue, "o"))
+        grid = np.geomspace(middle.min(), axis.sheet.highest_hz, 300)
+        parts.append(Line(grid, size * np.sqrt(axis.sheet.density(grid, period_s)), "", hue, width=1.0))
+        parts.append(Line(grid, size * np.sqrt(axis.drive.density(grid, period_s)), "", hue, "--", 0.8))
+    panel = Panel(f"root density [{unit}/sqrt(Hz)]", tuple(parts), log=True)
+    return draw(Stack((panel,), 3.0, x_label="frequency [Hz]", log_x=True))
 
 
 def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:

@@ -1,22 +1,20 @@
 """The noise of an inertial axis at rest as a sum of terms, fitted to its spectrum by likelihood.
 
-Each band of coefficients (see `navfilter.identification.cosine_spectrum`) is a chi-square about its expectation, and
+Each band of coefficients (see `navfilter.identification.noise_terms`) is a chi-square about its expectation, and
 the curvature of the likelihood is the uncertainty.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import optimize, special, stats
+from scipy import fft, optimize, special, stats
 
-from navfilter.identification.cosine_spectrum import Bands, shape
-
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: How far a logarithm may go from where the search begins.
 FAR = 40.0
@@ -25,6 +23,8 @@ FAR = 40.0
 FEW, SHARE = 3.0, 0.5
 #: A fit whose bands scatter more than chance does once in a hundred records is not complete.
 SURPRISE = 0.01
+#: Bands per decade of frequency.
+PER_DECADE = 12
 
 
 @dataclass(frozen=True)
@@ -228,3 +228,109 @@ def _dispersion(bands: Bands, model: Array, parameters: int) -> float:
     # mean of n (u - 1 - ln u) for u a chi-square over n
     usual = float(np.mean(2.0 * half * (np.log(half) - special.digamma(half))))
     return max(deviance / (usual * free), 1.0) if stats.chi2.sf(deviance / usual, free) < SURPRISE else 1.0
+
+
+# --- the spectrum that the terms are fitted to -----------------------------------------------------------------------
+
+
+def shape(kind: str, frequency_hz: Array, period_s: float, tau_s: float = math.nan) -> Array:
+    """Two-sided spectral density of a sampled term of size one [1/Hz].
+
+    Parameters
+    ----------
+    kind : {"white", "tilt", "flicker", "walk", "gauss-markov"}
+        The tilt is zero at zero frequency and 2 at the Nyquist frequency.
+    frequency_hz : ndarray
+    period_s : float
+        Of the samples.
+    tau_s : float
+        Of the Gauss-Markov term.
+    """
+    sine = np.sin(np.pi * np.asarray(frequency_hz) * period_s)
+    if kind == "white":
+        return np.ones_like(sine)
+    if kind == "tilt":
+        return np.asarray(2.0 * sine**2)
+    if kind == "flicker":
+        return np.asarray(period_s / (2.0 * sine))
+    if kind == "walk":
+        return np.asarray(period_s**2 / (4.0 * sine**2))
+    fading = math.exp(-period_s / tau_s)
+    gone = -math.expm1(-period_s / tau_s)
+    return np.asarray(period_s * gone * (1.0 + fading) / (gone**2 + 4.0 * fading * sine**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Power of a series in bands of frequency.
+
+    Attributes
+    ----------
+    power : ndarray, shape (m,)
+        Mean two-sided spectral density in each band [unit^2/Hz].
+    low, high : ndarray, shape (m,)
+        Its lowest and highest frequency [Hz].
+    count : ndarray, shape (m,)
+        Coefficients in it: degrees of freedom.
+    rate_hz : float
+        Of the samples.
+    """
+
+    power: Array
+    low: Array
+    high: Array
+    count: Array
+    rate_hz: float
+
+    def below(self, frequency_hz: float) -> Bands:
+        """The bands up to a frequency."""
+        keep = self.high <= frequency_hz
+        return Bands(self.power[keep], self.low[keep], self.high[keep], self.count[keep], self.rate_hz)
+
+    def mean(self, kind: str, tau_s: float = math.nan) -> Array:
+        """Density of a term of size one in each band, by Simpson's rule."""
+        low, middle, high = (
+            shape(kind, at, 1.0 / self.rate_hz, tau_s) for at in (self.low, 0.5 * (self.low + self.high), self.high)
+        )
+        return np.asarray((low + 4.0 * middle + high) / 6.0)
+
+    @property
+    def longest_s(self) -> float:
+        """Length of the longest stretch [s]."""
+        return 0.5 / float(self.low.min())
+
+
+def bands_of(stretches: Sequence[Array], rate_hz: float, leave_out: Sequence[tuple[float, float]] = ()) -> Bands:
+    """Bands of one or several stretches of a series, each of which has a level of its own.
+
+    Parameters
+    ----------
+    stretches : sequence of ndarray, shape (n,)
+        Samples without gaps.
+    rate_hz : float
+    leave_out : sequence of (low, high)
+        Frequencies that do not count, such as lines [Hz].
+    """
+    rows = [row for x in stretches for row in _bands_of_one(x, rate_hz, leave_out)]
+    power, low, high, count = np.array(rows).T
+    return Bands(power, low, high, count, rate_hz)
+
+
+def _bands_of_one(
+    x: Array, rate_hz: float, leave_out: Sequence[tuple[float, float]]
+) -> list[tuple[float, float, float, float]]:
+    density = fft.dct(x - x.mean(), norm="ortho")[1:] ** 2 / rate_hz
+    frequency = np.arange(1, x.size) * (0.5 * rate_hz / x.size)
+    keep = np.ones(frequency.size, dtype=bool)
+    for begin, end in leave_out:
+        keep[(frequency >= begin) & (frequency <= end)] = False
+    grid = np.arange(int(PER_DECADE * math.log10(x.size)) + 1) / PER_DECADE
+    edges = np.unique(np.r_[np.round(10.0**grid).astype(np.int64), x.size])
+    rows = []
+    for first, after in itertools.pairwise(edges.tolist()):
+        inside = np.flatnonzero(keep[first - 1 : after - 1]) + first - 1
+        if inside.size:
+            rows.append(
+                (float(density[inside].mean()), frequency[inside[0]], frequency[inside[-1]], float(inside.size))
+            )
+    return rows

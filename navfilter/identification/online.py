@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,21 +13,23 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.foundation import utc
-from navfilter.foundation.quoting import json_value
+from navfilter.foundation.arrays import Array
 from navfilter.identification.conditioning import Conditioned, condition
 from navfilter.identification.report import write_page
 from navfilter.io.series import Series
+from navfilter.io.write import write_json
 from navfilter.models.interpretation import number, read_model
-from navfilter.rendering.drawing import COLOURS, DASHES, WIDTH_IN, band, line, style
+from navfilter.rendering.drawing import COLOURS, DASHES, draw, style
 from navfilter.rendering.page import table_text
+from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.online.order_bank import ArmaBank
 from navfilter.timeseries.online.recursive import RecursiveArma
 
-Array = NDArray[np.float64]
-
 #: Looks at the estimate per window.
 LOOKS = 8
+#: Colour and dashes of zeros and of the moving average.
+_OTHER = COLOURS[1], DASHES[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,47 +165,28 @@ def _columns(models: list[ArmaModel]) -> dict[str, Array]:
 
 def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
     """Coefficients with two standard deviations, innovation sd, largest radii and, from a bank, the order over time."""
-    rows = [("ar", tracks.ar, tracks.ar_sd), ("ma", tracks.ma, tracks.ma_sd)]
-    rows = [row for row in rows if row[1].shape[1]]
-    walks = bool(np.any(tracks.walk_sd > 0.0))
-    count = len(rows) + 1 + bool(rows) + tracks.is_bank + walks
-    figure = Figure(figsize=(WIDTH_IN, 1.45 * count + 0.5), layout="constrained")
-    axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     zero, since = utc.axis_from(float(tracks.time_s[0]))
-    time = tracks.time_s - zero
-    for name, value, sd in rows:
-        ax = axes.pop(0)
-        for i in range(value.shape[1]):
+    time, per = tracks.time_s - zero, f"\n[{unit}]" if unit else ""
+    panels = []
+    for name, value, sd in (("ar", tracks.ar, tracks.ar_sd), ("ma", tracks.ma, tracks.ma_sd)):
+        parts: list[Part] = []
+        for i, (one, width) in enumerate(zip(value.T, 2.0 * sd.T, strict=True)):
             hue = COLOURS[(i + 1) % len(COLOURS)]
-            band(ax, time, 2.0 * sd[:, i], value[:, i], color=hue, alpha=0.25)
-            line(ax, time, value[:, i], color=hue, linestyle=DASHES[i % len(DASHES)], label=f"{name}[{i}]")
-        ax.set_ylabel(name)
-        ax.legend(ncols=min(value.shape[1], 6), loc="best")
-    ax = axes.pop(0)
-    line(ax, time, tracks.sd, color=COLOURS[1])
-    ax.set_ylabel("innovation sd" + (f"\n[{unit}]" if unit else ""))
-    if rows:
-        ax = axes.pop(0)
-        line(ax, time, tracks.pole, color=COLOURS[5], label="largest pole")
-        line(ax, time, tracks.zero, color=COLOURS[1], linestyle=DASHES[2], label="largest zero")
-        ax.axhline(1.0, color="black", linewidth=0.6)
-        ax.set_ylabel("radius")
-        ax.legend(loc="best")
-    if walks:
-        ax = axes.pop(0)
-        line(ax, time, tracks.walk_sd * math.sqrt(tracks.data.rate_hz), color=COLOURS[2])
-        ax.set_ylabel("bias walk\n" + (f"[{unit}/sqrt(s)]" if unit else "[1/sqrt(s)]"))
+            parts.append(Band(time, one - width, one + width, "", hue))
+            parts.append(Line(time, one, f"{name}[{i}]", hue, DASHES[i % len(DASHES)]))
+        panels += [Panel(name, tuple(parts))] * bool(parts)
+    panels.append(Panel(f"innovation sd{per}", (Line(time, tracks.sd, "", COLOURS[1]),)))
+    if len(panels) > 1:
+        radii = Line(time, tracks.pole, "largest pole", COLOURS[5]), Line(time, tracks.zero, "largest zero", *_OTHER)
+        panels.append(Panel("radius", radii, lines_at=(1.0,)))
+    if np.any(tracks.walk_sd > 0.0):
+        walk = tracks.walk_sd * math.sqrt(tracks.data.rate_hz)
+        panels.append(Panel(f"bias walk\n[{unit or 1}/sqrt(s)]", (Line(time, walk, "", COLOURS[2]),)))
     if tracks.is_bank:
-        ax = axes.pop(0)
-        ax.step(time, tracks.order[:, 0], where="post", color=COLOURS[5], label="p")
-        ax.step(time, tracks.order[:, 1], where="post", color=COLOURS[1], linestyle=DASHES[2], label="q")
-        ax.set_ylabel("order")
-        ax.set_ylim(-0.4, max(int(tracks.order.max()), 1) + 0.4)
-        ax.yaxis.get_major_locator().set_params(integer=True)
-        ax.legend(loc="best")
-        figure.align_ylabels()
-    figure.axes[-1].set_xlabel(f"time{since} [s]")
-    return figure
+        p, q = tracks.order.T.astype(np.float64)
+        orders = Line(time, p, "p", COLOURS[5], steps=True), Line(time, q, "q", *_OTHER, steps=True)
+        panels.append(Panel("order", orders, limits=(-0.4, max(float(tracks.order.max()), 1.0) + 0.4)))
+    return draw(Stack(tuple(panels), 1.45, x_label=f"time{since} [s]"))
 
 
 def tracks_text(tracks: Tracks, unit: str = "") -> str:
@@ -270,7 +252,7 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
         "reading": _last_reading(tracks),
         "remarks": list(data.notes),
     }
-    (folder / "identify.json").write_text(json.dumps(json_value(result), indent=1) + "\n", encoding="utf-8")
+    write_json(result, folder / "identify.json")
     caption = (
         f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with "
         "two standard deviations."

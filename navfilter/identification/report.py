@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +18,7 @@ from navfilter.identification.identify import Identification
 from navfilter.io import units
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.vehicle_toml import error_text
+from navfilter.io.write import write_json
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.interpretation import number
 from navfilter.rendering.drawing import style, svg
@@ -47,7 +47,7 @@ def write_identification(found: Identification, folder: Path, unit: str = "") ->
     title, drawn = f"{found.data.name}: {found.reading.text}", identification_figures(found, unit)
     with style():
         figures = write_page(folder, title, found.data.source, body, drawn)
-    return [_write(folder / "identify.json", json.dumps(as_dict(found, unit), indent=1) + "\n"), *figures]
+    return [write_json(as_dict(found, unit), folder / "identify.json"), *figures]
 
 
 def write_page(
@@ -62,13 +62,9 @@ def write_page(
         drawn = svg(figure)
         written[-1].write_bytes(drawn)
         body += [heading_html(heading), figure_html(drawn, caption)]
-    return [_write(folder / "identify.html", page(title, title, subtitle, body)), *written]
-
-
-def _write(path: Path, text: str) -> Path:
-    with replacing(path) as file:
-        file.write(text)
-    return path
+    with replacing(folder / "identify.html") as file:
+        file.write(page(title, title, subtitle, body))
+    return [folder / "identify.html", *written]
 
 
 def summary_text(found: Identification, unit: str = "") -> str:

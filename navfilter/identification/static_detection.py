@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from navfilter.foundation.arrays import Array
 from navfilter.identification.conditioning import bridged
-
-Array = NDArray[np.float64]
 
 #: Blocks in which rest is judged [s], and at least so many samples.
 BLOCK_S, BLOCK_SAMPLES = 1.0, 32

@@ -10,17 +10,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.io import dates
-from navfilter.io.contents import SD, SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
-from navfilter.io.mission_schema import Clock, Component, Group, Reference
+from navfilter.io.mission_schema import SD, SERIES, Clock, Component, Group, Reference, groups
 from navfilter.io.stamps import continued, full_after
 from navfilter.io.stream_joining import circular_mean
 from navfilter.io.table import BLANK, Table
 from navfilter.io.units import UNITS, Unit, angles, parse_quantity, unit
 from navfilter.models.mission import MissionError
 
-Array = npt.NDArray[np.float64]
 AXES = "xyz"
 #: In SI; what is beyond is no measurement, and its square could not be held.
 LARGEST = 1e100

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.io.stamps import continued
 
-Array = npt.NDArray[np.float64]
 Text = npt.NDArray[np.str_]
 
 #: Orders of day, month and year.

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+from navfilter.track.track import Track
 
 # WGS-84 defining constants (NIMA TR8350.2, 2000).
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 _E2 = FLATTENING * (2.0 - FLATTENING)
+Origin = tuple[float, float, float]
+
+#: North, east, down -> east, north, up.
+ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def geodetic_from_ecef(ecef_m: Array) -> Array:
@@ -80,3 +84,31 @@ def matrix_from_quaternion(wxyz: Array) -> Array:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+# --- a tangent plane -------------------------------------------------------------------------------------------------
+
+
+def origin_of(track: Track) -> Origin:
+    """Latitude, longitude [rad] and height [m] of its first row."""
+    return float(track.latitude[0]), float(track.longitude[0]), float(track.height[0])
+
+
+def local_enu(place: Array, origin: Origin) -> Array:
+    """East, north, up [m], shape (n, 3), of latitude, longitude [rad], height [m], shape (n, 3), in the tangent plane
+    at the origin.
+    """
+    first = np.array([origin])
+    axes = ned_axes(first[:, 0], first[:, 1])[0]
+    return (ecef_from_geodetic(place) - ecef_from_geodetic(first)) @ axes.T @ ENU.T
+
+
+def plane_from_n(place: Array, origin: Origin) -> Array:
+    """Matrices (n, 3, 3) that take north, east, down at each place to the plane's axes."""
+    plane = ENU @ ned_axes(np.array([origin[0]]), np.array([origin[1]]))[0]
+    return plane @ np.swapaxes(ned_axes(place[:, 0], place[:, 1]), 1, 2)
+
+
+def plane_from_body(place: Array, attitude: Array, origin: Origin) -> Array:
+    """Matrices (n, 3, 3) that take the body (forward, right, down) to the plane's axes."""
+    return plane_from_n(place, origin) @ matrix_from_euler(*attitude.T)

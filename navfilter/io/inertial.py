@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.io import read_mission
 from navfilter.io.axis_columns import SIZES, bare_name, found_axes
@@ -22,7 +23,6 @@ from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import Unit, parse_quantity, unit
 from navfilter.models.mission import MissionError, Stream
 
-Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 _DIMENSIONS = {"gyro": "angular rate", "accel": "acceleration"}

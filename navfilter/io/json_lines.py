@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.io.mission_schema import StartSpec
 from navfilter.io.trust import Place
@@ -41,7 +41,6 @@ BAD_KINDS = (
     "too-long", "not-utf8", "not-json", "not-an-object", "unknown-sensor", "wrong-fields",
     "wrong-type", "wrong-size", "not-finite", "wrong-time", "wrong-start",
 )  # fmt: skip
-Array = npt.NDArray[np.float64]
 #: Later than this no clock counts in seconds: milliseconds since 1970 are beyond it [s].
 LATEST_S = 1e11
 #: A reading has at most so many components.

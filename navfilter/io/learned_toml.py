@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from navfilter.foundation.quoting import one_line
-from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, vehicle_file, write_vehicle
+import tomlkit
+
+from navfilter.io.toml_editing import with_value, write_edited
+from navfilter.io.vehicle_toml import learnt_keys
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle
-
-_LEARNED = re.compile(r"""\{[^{}]*\bmodel\s*=\s*["']learned-arma["']""")
-
-
-class _Unclear(Exception):
-    """The text is laid out in a way that is not followed here."""
 
 
 def write_learned(
@@ -45,22 +42,15 @@ def write_learned(
 
     Notes
     -----
-    The copy is read back. Where it is not the vehicle, because the file is laid out in an unusual way (one table per
-    axis, a multi-line string), everything is written anew.
+    The copy is read back. Where it is not the vehicle, because the file is laid out in an unusual way, everything is
+    written anew.
     """
-    path = Path(path)
-    if source is not None:
-        file = vehicle_file(source)
-        try:
-            path.write_text(_edited(file.read_text(encoding="utf-8"), vehicle, remarks or {}), encoding="utf-8")
-            if _same(read_vehicle(path), vehicle):
-                return path
-        except (_Unclear, VehicleError):
-            pass
-    return write_vehicle(vehicle, path)
+    edit = partial(_edited, vehicle=vehicle, remarks=remarks or {})
+    write_edited(vehicle, path, source, edit, partial(_same, vehicle))
+    return Path(path)
 
 
-def _same(back: Vehicle, vehicle: Vehicle) -> bool:
+def _same(vehicle: Vehicle, back: Vehicle) -> bool:
     return back.driving == vehicle.driving and all(back.sensors.get(name) == s for name, s in vehicle.sensors.items())
 
 
@@ -68,86 +58,42 @@ def _edited(text: str, vehicle: Vehicle, remarks: Mapping[str, str]) -> str:
     for name, sensor in vehicle.sensors.items():
         if any(learned_part(model) is not None for model in sensor.models):
             models = sensor.error if isinstance(sensor.error, tuple) else (sensor.error,)
-            table = rf"sensors\s*\.\s*(?:{re.escape(name)}|\"{re.escape(name)}\")"
-            text = _with_models(text, (table, "error"), models, sensor.axis_names, remarks.get(name))
+            change = partial(_adopted, models=models, axes=sensor.axis_names)
+            text = with_value(text, ("sensors", name), "error", change, remarks.get(name, ""))
     for name, drive in vehicle.imus.items() or [("", vehicle.drive)]:
-        table = rf"imus\s*\.\s*(?:{re.escape(name)}|\"{re.escape(name)}\")" if name else "drive"
         for part in dict.fromkeys(axis.rpartition("_")[0] for axis in drive.axis_names):
             axes = [k for k, axis in enumerate(drive.axis_names) if axis.rpartition("_")[0] == part]
             models = tuple(drive.models[k] for k in axes)
             learnt = [learned for model in models if (learned := learned_part(model)) is not None]
             if part and any(learned.model is not None for learned in learnt):
                 models = models[:1] if len(set(models)) == 1 else models
-                text = _with_models(text, (table, part), models, ("x", "y", "z"), remarks.get(part))
+                change = partial(_adopted, models=models, axes=("x", "y", "z"))
+                text = with_value(text, ("imus", name) if name else ("drive",), part, change, remarks.get(part, ""))
     return text
 
 
-def _with_models(
-    text: str, place: tuple[str, str], models: tuple[ErrorModel, ...], axes: tuple[str, ...], remark: str | None
-) -> str:
-    """The text with the value of one key changed: a table and a key, the models of the key's axes."""
-    table, key = place
-    header = re.search(rf"^[ \t]*\[\s*{table}\s*\][^\n]*\n", text, flags=re.MULTILINE)
-    if header is None:
-        raise _Unclear
-    following = re.search(r"^[ \t]*\[", text[header.end() :], flags=re.MULTILINE)
-    end = header.end() + following.start() if following else len(text)
-    found = re.compile(rf"^[ \t]*{key}[ \t]*=[ \t]*", flags=re.MULTILINE).search(text, header.end(), end)
-    if found is None:
-        raise _Unclear
-    first, last = found.end(), closing(text, found.end())
-    value = text[first:last]
-    if len(models) == 1:
-        new = _with_adopted(value, models[0])
-    elif value.startswith("{") and not _LEARNED.match(value):
-        raise _Unclear
-    else:
-        each = (f"{axis} = {_with_adopted(value, model)}" for axis, model in zip(axes, models, strict=True))
-        new = "{" + ", ".join(each) + "}"
-    comment = f"# {one_line(remark)}\n" if remark else ""
-    return text[: found.start()] + comment + text[found.start() : first] + new + text[last:]
+def _adopted(value: Any, models: tuple[ErrorModel, ...], axes: tuple[str, ...]) -> Any:
+    """The value of an error with what its learnt parts have adopted: of one axis, of all alike, or of each."""
+    by_axis = isinstance(value, dict) and "model" not in value
+    if not by_axis and len(models) == 1:
+        return _with_adopted(value, models[0])
+    every = models * len(axes) if len(models) == 1 else models
+    each = {
+        a: _with_adopted(value[a] if by_axis else tomlkit.value(value.as_string()), m)
+        for a, m in zip(axes, every, strict=True)
+    }
+    return value if by_axis else tomlkit.value("{" + ", ".join(f"{a} = {v.as_string()}" for a, v in each.items()) + "}")
 
 
-def _with_adopted(value: str, model: ErrorModel) -> str:
+def _with_adopted(value: Any, model: ErrorModel) -> Any:
     """The value of one axis with what its learnt part has adopted."""
-    part, table = learned_part(model), _LEARNED.search(value)
-    if part is None or table is None:
-        raise _Unclear
-    last = closing(value, table.start()) - 1
-    inner = value[table.start() : last]
+    part = learned_part(model)
+    if part is None:
+        return value
+    tables: list[Any] = [value] if isinstance(value, dict) else value
+    table = next(table for table in tables if table["model"] == "learned-arma")
     for key in ("adopted", "slow", "frozen"):
-        inner = _without(inner, key)
-    added = "".join(f", {key} = {text}" for key, text in learnt_keys(part).items())
-    return value[: table.start()] + inner.rstrip() + added + value[last:]
-
-
-def _without(table: str, key: str) -> str:
-    """The text of an inline table without one of its keys."""
-    found = re.search(rf",?\s*\b{key}\s*=\s*", table)
-    if found is None:
-        return table
-    last = closing(table, found.end())
-    return table[: found.start()] + table[last:]
-
-
-def closing(text: str, start: int) -> int:
-    """End of the value that starts here: behind the bracket that closes it, or at the comma, comment or line's end."""
-    depth, i = 0, start
-    while i < len(text):
-        c = text[i]
-        if c in "\"'":
-            i = text.index(c, i + 1)
-        elif c == "#" and depth:
-            i = text.index("\n", i)
-        elif c in "[{":
-            depth += 1
-        elif c in "]}":
-            depth -= 1
-            if depth == 0:
-                return i + 1
-            if depth < 0:
-                return i
-        elif not depth and c in ",#\n":
-            return i
-        i += 1
-    return len(text)
+        table.pop(key, None)
+    for key, text in learnt_keys(part).items():
+        table.append(key, tomlkit.value(text))
+    return value

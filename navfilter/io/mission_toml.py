@@ -9,14 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.foundation.arguments import within
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
-from navfilter.io.contents import SD, driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
 from navfilter.io.logs.topic_names import INSTRUMENT
 from navfilter.io.mission_schema import (
+    SD,
     Clock,
     DuringSpec,
     MissionSpec,
@@ -24,7 +25,9 @@ from navfilter.io.mission_schema import (
     Source,
     StreamSpec,
     TruthStream,
+    driving,
     each_of,
+    groups,
     mission_spec,
 )
 from navfilter.io.mission_start import day_of, epoch_of, start_of
@@ -37,7 +40,6 @@ from navfilter.models.during import During
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 from navfilter.models.state import euler_from_matrix, wrap
 
-Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 #: More than a month at 100 Hz.

@@ -23,15 +23,8 @@ from typing import Any
 import numpy as np
 
 from navfilter.foundation.quoting import toml_key, toml_text
-from navfilter.io.calibrated_toml import Unclear, edited
-from navfilter.io.vehicle_toml import (
-    VehicleError,
-    described_text,
-    error_text,
-    read_vehicle,
-    vehicle_file,
-    write_vehicle,
-)
+from navfilter.io.toml_editing import with_keys, write_edited
+from navfilter.io.vehicle_toml import described_text, error_text
 from navfilter.models.vehicle import Vehicle
 
 #: Evidence is written to so many digits behind the point [nat].
@@ -63,26 +56,24 @@ def write_over_dives(
         Whether it is a copy with all comments; the file is laid out in an unusual way otherwise, and all was written
         anew.
     """
-    path = Path(path)
     count = len(table["dives"])
     remark = f"learnt over {count} dive{'s' * (count > 1)} by navfilter learn; before: [learnt] below"
-    if source is not None:
-        text = vehicle_file(source).read_text(encoding="utf-8")
-        try:
-            text = re.sub(r"^# learnt over [^\n]* by navfilter learn[^\n]*\n", "", _TABLES.sub("", text), flags=re.M)
-            for name in table["sensors"]:
-                for part, key, value in _places(vehicle, name):
-                    text = edited(text, part, {key: f"{key} = {value}"}, remark)
-            path.write_text(f"{text.rstrip()}\n\n{_learnt_text(table)}", encoding="utf-8")
-            back = read_vehicle(path)
-            if back.driving == vehicle.driving and dict(back.sensors) == dict(vehicle.sensors):
-                return True
-        except (Unclear, VehicleError):
-            pass
-    write_vehicle(vehicle, path)
-    with path.open("a", encoding="utf-8") as file:
-        file.write(f"\n{_learnt_text(table)}")
-    return False
+
+    def edit(text: str) -> str:
+        text = re.sub(r"^# learnt over [^\n]* by navfilter learn[^\n]*\n", "", _TABLES.sub("", text), flags=re.M)
+        for name in table["sensors"]:
+            for part, key, value in _places(vehicle, name):
+                text = with_keys(text, part, {key: (key, value)}, remark)
+        return f"{text.rstrip()}\n\n{_learnt_text(table)}"
+
+    def same(back: Vehicle) -> bool:
+        return back.driving == vehicle.driving and dict(back.sensors) == dict(vehicle.sensors)
+
+    copied = write_edited(vehicle, path, source, edit, same)
+    if not copied:
+        with Path(path).open("a", encoding="utf-8") as file:
+            file.write(f"\n{_learnt_text(table)}")
+    return copied
 
 
 def _places(vehicle: Vehicle, name: str) -> list[tuple[tuple[str, ...], str, str]]:

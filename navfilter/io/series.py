@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.io import read_mission
 from navfilter.io.columns import series_times
@@ -20,8 +20,6 @@ from navfilter.io.tables import Table, read_table
 from navfilter.io.text_tables import delimiter_of, fields_of, marked_encoding
 from navfilter.io.trust import BROKEN, OPENERS, UNPACKED_BYTES, Allowance, Place
 from navfilter.models.mission import MissionError
-
-Array = npt.NDArray[np.float64]
 
 #: Steps of a clock that stamps bursts: the median lies below this share of the mean, and either fewer than this share
 #: of the steps are multiples of it, as they are where samples are missing, or it lies so far below.

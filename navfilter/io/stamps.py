@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+
 Bool = npt.NDArray[np.bool_]
 
 #: A longer way between two stamps that follow each other is none of one recording [s].

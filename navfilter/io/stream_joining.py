@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.state import wrap
 
-Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 

@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import model_validator
 
+from navfilter.foundation.arrays import Array
 from navfilter.io.validation import Strict
 from navfilter.models.mission import MissionError
-
-Array = npt.NDArray[np.float64]
 
 #: Texts that say that there is no value.
 BLANK = ("", "nan", "na", "n/a", "null", "none")

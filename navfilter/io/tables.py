@@ -22,7 +22,6 @@ from navfilter.models.mission import MissionError
 if TYPE_CHECKING:
     from navfilter.io.logs import Shelf
 
-Array = npt.NDArray[np.float64]
 
 #: Columns of a MOOS log.
 _ALOG = ("time", "name", "source", "value")

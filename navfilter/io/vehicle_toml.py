@@ -26,7 +26,6 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, mo
 from navfilter.foundation.quoting import toml_key, toml_literal
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
-from navfilter.models import periodic_error  # noqa: F401 - kinds are those whose module has been imported
 from navfilter.models.during import instrument, is_alias
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.fault_bias import FaultBias

@@ -22,7 +22,7 @@ from navfilter.models.during import is_alias
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 from navfilter.track.trust import integrity_figures
 
 #: Version of the layout of summary.json: it rises where a key changes its meaning or goes, not where one is new.
@@ -38,7 +38,7 @@ def labelled(track: Track) -> dict[str, Track]:
 
 
 def write_outputs(
-    tracks: Mapping[str, Track],
+    tracks: Tracks,
     mission: Mission,
     folder: str | os.PathLike[str],
     more: Mapping[str, Any] | None = None,
@@ -113,7 +113,7 @@ def learned_vehicle(track: Track) -> Vehicle | None:
     return known.with_error(**last) if last else None
 
 
-def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
+def summarise(tracks: Tracks, mission: Mission) -> dict[str, Any]:
     """What `write_summary` writes: figures of every run by label; None where there is no truth.
 
     Parameters
@@ -163,7 +163,7 @@ def _lanes(track: Track) -> dict[str, Any]:
 
 
 def write_summary(
-    tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
+    tracks: Tracks, mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
 ) -> Path:
     """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes
     null. Its first key says by which version of ``summary.schema.json`` of this folder it is laid out.

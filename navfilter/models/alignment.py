@@ -10,9 +10,9 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.models.lane_missions import of_one_unit
 from navfilter.models.mechanisation import Mechanisation
@@ -21,7 +21,6 @@ from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler, wrap
 from navfilter.models.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 #: Of a vehicle that does not say how fast it can be [m/s].
 FASTEST_M_S = 100.0
 #: Two fixes of one place are no farther apart than so many of their sd [1].

@@ -13,25 +13,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.foundation.display import Value
 from navfilter.foundation.frozen import FrozenDescription
-from navfilter.timeseries.continuous import gauss_markov
 from navfilter.timeseries.roots import is_stable
 from navfilter.timeseries.stationary import stationary_covariance
-
-Array = NDArray[np.float64]
 
 #: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42,
 #: corrected).
 CORRELATION_CONSTANTS = {1: 1.0, 2: 2.14619322062, 3: 2.90462997502, 4: 3.51264845273}
 #: A pole nearer to the unit circle than this has no stationary variance in floating point.
 UNIT_ROOT = 1e-12
+#: Time constants in a period, beyond which it is no longer: nothing is left of the process then.
+LONGEST = 350.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -443,3 +444,125 @@ def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) ->
             "White(sd=0.1) + RandomWalk(density=1e-4)."
         )
     return models
+
+
+# --- what swings -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Cycle(ErrorModel):
+    """Stationary swing of known period, whose amplitude and phase wander (Harvey, 1989, sec. 2.3.4: stochastic cycle).
+
+    Parameters
+    ----------
+    sd : float
+        Stationary standard deviation [unit]; a steady swing of amplitude a has ``a / sqrt(2)``.
+    period_s : float
+        Of the swing [s]; a semidiurnal tide 44714, a diurnal one 89428.
+    tau_s : float
+        Time in which amplitude and phase become others [s].
+
+    Notes
+    -----
+    Autocovariance ``sd^2 exp(-t / tau) cos(2 pi t / period)``. Two states: the swing, and what it is a quarter of a
+    period later; both turn into each other.
+
+    Examples
+    --------
+    >>> block = Cycle(sd=0.2, period_s=40.0, tau_s=1e6).block(period_s=10.0)
+    >>> [round(float(x), 3) for x in block.Phi[0]]
+    [0.0, 1.0]
+    """
+
+    sd: float
+    period_s: float
+    tau_s: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("sd", "period_s", "tau_s"):
+            checked_number(f"Cycle.{name}", getattr(self, name), zero_ok=name == "sd")
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: exact for any period."""
+        angle, keep = 2.0 * math.pi * period_s / self.period_s, math.exp(-period_s / self.tau_s)
+        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        gained = -math.expm1(-2.0 * period_s / self.tau_s) * self.sd**2
+        return Block(keep * turn, gained * np.eye(2), np.array([1.0, 0.0]), 0.0, self.sd**2 * np.eye(2))
+
+
+# --- from continuous to discrete -------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=256)
+def gauss_markov(n: int, sd: float, step: float) -> tuple[Array, Array, Array]:
+    """Transition, noise of one period and stationary covariance of a process of order n; its state has the error and
+    its derivatives in time constants.
+
+    Asked for at each change of the layout, and by learners under way, who find orders 1 and 2: these are in closed
+    form, for no import may hold up the navigation. Above it is Van Loan's method (IEEE Trans. AC 23, 1978).
+
+    Parameters
+    ----------
+    n : int
+    sd : float
+    step : float
+        Period, in time constants of the poles.
+    """
+    step = min(step, LONGEST)
+    P0 = _stationary(n) * sd**2
+    if n == 1:
+        return np.array([[math.exp(-step)]]), np.array([[-math.expm1(-2.0 * step) * sd**2]]), P0
+    if n == 2:
+        return *_second_order(sd**2, step), P0
+    if step > 2.0:
+        # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
+        # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
+        # series of exp((F + 1) step) ends.
+        N = _dynamics(n) + np.eye(n)
+        terms = [np.linalg.matrix_power(N, k) * (step**k / math.factorial(k)) for k in range(n)]
+        Phi = math.exp(-step) * np.sum(terms, axis=0)
+        Q = P0 - Phi @ P0 @ Phi.T
+    else:
+        from filterpy.common import van_loan_discretization  # costs half a second to import
+
+        # White noise of this spectral density drives the last state; the process then has this variance (thesis
+        # eq 2.42, corrected).
+        density = sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
+        Phi, Q = van_loan_discretization(_dynamics(n), math.sqrt(density) * np.eye(n)[:, -1:], step)
+    return np.ascontiguousarray(Phi), np.ascontiguousarray((Q + Q.T) / 2), P0
+
+
+def _dynamics(n: int) -> Array:
+    F = np.diag(np.ones(n - 1), 1)
+    F[-1] = [-math.comb(n, k) for k in range(n)]
+    return F
+
+
+def _second_order(variance: float, step: float) -> tuple[Array, Array]:
+    """Elements of Q are integrals of ``g_i g_j``, ``g = [u exp(-u), (1 - u) exp(-u)]``, from 0 to `step`, times the
+    spectral density ``4 variance``.
+    """
+    decay, twice = math.exp(-step), 2.0 * step
+    # what exp(2 step) is above the beginning of its series: by its terms where the difference would cancel
+    if twice < 2.0:
+        above = sum(twice**k / math.factorial(k) for k in range(3, 24))
+    else:
+        above = math.exp(twice) - 1.0 - twice - twice**2 / 2.0
+    value, cross = above * decay**2, 2.0 * (step * decay) ** 2
+    Q = variance * np.array([[value, cross], [cross, value + 4.0 * step * decay**2]])
+    return decay * np.array([[1.0 + step, step], [-step, 1.0 - step]]), Q
+
+
+def _stationary(n: int) -> Array:
+    """Stationary covariance of the scaled states for unit variance: E[x^(i) x^(j)] = (-1)^j R^(i+j)(0), odd derivatives
+    vanish.
+    """
+    # Partial moments of the spectrum 1/(1 + w^2)^n: m_2k = integral of w^2k S(w), ratio by the beta function.
+    moment = [math.gamma(k + 0.5) * math.gamma(n - k - 0.5) / (math.gamma(0.5) * math.gamma(n - 0.5)) for k in range(n)]
+    P = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            if (i + j) % 2 == 0:
+                P[i, j] = (-1.0) ** ((j - i) // 2) * moment[(i + j) // 2]
+    return P

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, span
-
-Array = NDArray[np.float64]
 
 #: Conditions of sensors that are used.
 CALM = ("good", "waiting", "partial")

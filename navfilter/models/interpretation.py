@@ -18,7 +18,6 @@ from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: A correlation that falls to 1/e within this many samples is the device's own filtering, not drift.

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.start import Start
 from navfilter.models.vehicle import LEVEL_PERIOD_S
 
-Array = NDArray[np.float64]
 #: Lanes that are doubted begin anew at multiples of so many seconds of mission time: a replay runs them so far apart.
 ANEW_S = 30.0
 #: What a vehicle that is level reads; nobody knows the yaw.

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.models.error_models import (
     Block,
@@ -26,8 +25,6 @@ from navfilter.models.spectrum import Spectrum
 from navfilter.models.window_limits import least_window
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.stationary import stationary_covariance
-
-Array = NDArray[np.float64]
 
 #: Orders (p, q) of the fast part tried by default: white, Gauss-Markov, both, up to two oscillations with white noise.
 DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 3))

@@ -6,12 +6,11 @@ import datetime
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import numbers
 
-Array = NDArray[np.float64]
 MODEL_YEARS = (2010, 2015, 2020, 2025)
 #: What the declination of a model errs by is the root of the sum of the squares of an angle [deg] and of another one
 #: over the horizontal field [deg nT] (Chulliat et al., 2025, "The US/UK World Magnetic Model for 2025-2030", eq. 43;

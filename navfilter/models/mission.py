@@ -17,12 +17,12 @@ import numpy.typing as npt
 from navfilter.foundation import arguments as given
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import needs, numbers, rows_of, short
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, often, span
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.foundation.quoting import one_line
 from navfilter.models.during import During
 
-Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
 
 TRUTH_COLUMNS = (

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+
 #: Time in which a filter finds a wrong force [s]: before a drift begins anew, so much of a series is worth nothing.
 FOUND_S = 10.0
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+
 #: A logarithm that is known no better than this is not known: at a notch first order says anything.
 LARGEST_SPREAD = 10.0
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, few
 from navfilter.kernels import strapdown
 from navfilter.models.health import Bounds, Health, Trust
-
-Array = NDArray[np.float64]
 
 
 def wrap(angle: ArrayLike) -> Array:

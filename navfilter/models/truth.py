@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+
 #: Readings (n, axes) of a simulated sensor, and the names of their columns.
 SimulatedReading = tuple[Array, tuple[str, ...]]
 SEMI_MAJOR_AXIS_M = 6378137.0

@@ -8,9 +8,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from navfilter.foundation.display import card
 from navfilter.foundation.frozen import typed
 from navfilter.foundation.quoting import one_line
@@ -19,7 +16,6 @@ from navfilter.models.mechanisation import DeadReckoningLane, Imu, Mechanisation
 from navfilter.models.sensors import Attitude, Sensor
 from navfilter.models.start import Start
 
-Array = NDArray[np.float64]
 RESERVED = ("imu", "gyro", "accel", "attitude", "velocity", "truth")
 #: Name of the lane without an inertial unit, and of the sensor that only this lane has.
 DEAD_RECKONING, LEVEL = "dead-reckoning", "level"

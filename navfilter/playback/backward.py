@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.alignment import align
 from navfilter.models.lane_missions import last_unit, of_one_unit
 from navfilter.models.magnetic import declination
@@ -21,8 +21,6 @@ from navfilter.models.state import wrap
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 #: What becomes of the columns of a stream: a factor, or a function.
 _Change = float | Callable[[Array], Array]

@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.filter.records import Tape
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.learning.batch import change, learning_sensors, refitted
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.models.alignment import align
@@ -33,7 +33,6 @@ from navfilter.track.track import Track
 
 __all__ = ["drive_samples"]
 
-Array = NDArray[np.float64]
 _Path = str | os.PathLike[str]
 #: Models have settled when they change by less than so many of their own standard deviations.
 SETTLED = 0.2

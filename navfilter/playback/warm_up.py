@@ -15,6 +15,7 @@ import numpy as np
 
 from navfilter.foundation.arguments import needs
 from navfilter.kernels.compiling.progress import (
+    FILTER,
     announce_each,
     count_announced,
     is_compiled,
@@ -30,9 +31,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.navigator import Navigator
 from navfilter.playback.replay import learns, replay
 from navfilter.simulation.simulate import tiny_mission, tiny_missions
-
-#: Files of kernels that every filter needs.
-FILTER = ("strapdown", "kalman", "measurement")
 
 
 def warm_up(vehicle: Vehicle | None = None, progress: bool = False, *, smoother: bool = True) -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission
-from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
+from navfilter.track.track import Tracks
 
 
 class Clock:
@@ -73,7 +70,7 @@ class Clock:
         return f"{round(shown, 9):g}{below}"
 
 
-def clock_of(tracks: Mapping[str, Track], mission: Mission | None = None) -> Clock:
+def clock_of(tracks: Tracks, mission: Mission | None = None) -> Clock:
     """The time axis that all tracks share; with UTC where the mission knows it."""
     begin_s, end_s = min(t.time_s[0] for t in tracks.values()), max(t.time_s[-1] for t in tracks.values())
     return Clock(float(begin_s), float(end_s), None if mission is None else mission.epoch_utc_s)

@@ -13,13 +13,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.panels import Band, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.rendering.thinning import broken, envelope, extremes
-
-Array = NDArray[np.float64]
 
 #: Told apart by people who see few colours, and in grey by their brightness (after Okabe and Ito, 2008).
 COLOURS = ("#e69f00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
@@ -71,27 +69,21 @@ def line(ax: Axes, time: Array, value: Array, **options: Any) -> None:
     ax.plot(*envelope(*broken(time, value)), **options)
 
 
-def band(ax: Axes, time: Array, sd: Array, centre: Array | None = None, **options: Any) -> None:
-    """Draw the band of one sd about a series (default: about zero), thinned."""
-    t, s, c = broken(time, sd, np.zeros_like(sd) if centre is None else centre)
-    ax.fill_between(*extremes(t, c - s, c + s), linewidth=0.0, **options)
-
-
 def no_formula(text: str) -> str:
     """Text of people, which is no formula whatever signs are in it."""
     return text.replace("$", r"\$")
 
 
-def draw(stack: Stack, clock: Clock) -> Figure:
+def draw(stack: Stack, clock: Clock | None = None) -> Figure:
     """Draw panels one above the other.
 
     Parameters
     ----------
     stack : Stack
-    clock : Clock
+    clock : Clock, optional
         Of the time axis; not used where x is something else.
     """
-    rows = len(stack.panels)
+    clock, rows = clock or Clock(0.0, 1.0), len(stack.panels)
     figure = Figure(figsize=(WIDTH_IN, rows * stack.height_in + 0.75), layout="constrained")
     axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     x = (lambda values: values) if stack.x_label else clock

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

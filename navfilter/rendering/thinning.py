@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: A line gets two points, lowest and highest, for each of so many stretches: about one stretch per pixel.
 STRETCHES = 400

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
+import numpy as np
 
 from navfilter.evaluation.comparison import Comparison
+from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.evaluation.learned_text import in_force, learnt
+from navfilter.foundation.arrays import Array
 from navfilter.io.tracks.atomic_files import replacing
-from navfilter.models.mission import Mission
+from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.clock import clock_of
-from navfilter.rendering.drawing import style
+from navfilter.rendering.drawing import colour
 from navfilter.rendering.page import Section, escape, page, table_html
-from navfilter.rendering.panels import Mark, Stack
-from navfilter.report import comparison_figures, figures, learnt_figures
+from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Part, Stack
+from navfilter.report import figures, learnt_figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import Plan, plan_view
-from navfilter.track.track import Track
+from navfilter.timeseries.diagnostics import acf
+from navfilter.track.track import Tracks
 
-Tracks = Mapping[str, Track]
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 8
 
@@ -80,7 +83,7 @@ def render_comparison(
     )
 
 
-def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Stack | Plan | Figure]]:
+def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Stack | Plan]]:
     """Heading of a new section (or nothing), caption and what is to be drawn, one after the other."""
     truth = mission.truth
     begin_s, first_s = comparison.windows[0][0], min(float(track.time_s[0]) for track in tracks.values())
@@ -93,10 +96,10 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
     yield "Track", caption, plan_view(tracks, mission, ellipses=8)
     if truth is not None and any("heading" in run["nees"] for run in comparison.runs.values()):
         caption = "Two thirds of the errors should lie inside the band; what is shaded is not scored."
-        yield "Error against 1 sigma", caption, shaded(comparison_figures.heading_against_sigma(tracks, truth))
+        yield "Error against 1 sigma", caption, shaded(heading_against_sigma(tracks, truth))
     if truth is not None and any("position" in run["nees"] for run in comparison.runs.values()):
         caption = "Where the error keeps above the coloured area, the run believes itself too much."
-        yield "", caption, shaded(comparison_figures.position_against_sigma(tracks, truth))
+        yield "", caption, shaded(position_against_sigma(tracks, truth))
     nees = None if truth is None else figures.consistency_figure(tracks, truth)
     if nees is not None:
         yield "Honesty of the covariance", figures.NEES, shaded(nees)
@@ -108,8 +111,7 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
     for first in range(0, len(axes), _PANELS):
         caption = "Autocorrelation of the innovations over the whole run: a filter that knows its sensors leaves none."
         title = "" if first else "What is left in the innovations"
-        with style():
-            yield title, caption, comparison_figures.correlation_figure(runs, axes[first : first + _PANELS])
+        yield title, caption, correlation_figure(runs, axes[first : first + _PANELS])
     yield from _learnt(runs)
 
 
@@ -165,3 +167,74 @@ def _models_table(tracks: Tracks) -> tuple[list[str], list[list[str]]]:
         for name, history in track.error_models.items():
             rows.append([label, name, in_force(track, name, history[-1][1])])
     return ["run", "sensor", "model"], rows
+
+
+# --- figures that only a comparison has ------------------------------------------------------------------------------
+
+
+def heading_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
+    """Heading error and its 1-sigma band, one panel per run, all on the same scale."""
+    limit = 0.0
+    found: list[tuple[str, tuple[Part, ...]]] = []
+    for number, (label, track) in enumerate(tracks.items()):
+        hue, _ = colour(number)
+        sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
+        error = np.degrees(track.errors(truth).heading)
+        parts = (
+            Band(track.time_s, -sd, sd, f"{label}: ±1σ", hue, 0.3),
+            Line(track.time_s, error, f"{label}: error", hue, width=0.9),
+        )
+        limit = max(limit, _scale(error), 1.1 * _scale(sd, 0.9))
+        found.append((f"{label}\nheading [deg]", parts))
+    return _on_one_scale(found, (-limit, limit))
+
+
+def position_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
+    """Horizontal position error and its predicted rms, one panel per run, all on the same scale."""
+    limit = 0.0
+    found: list[tuple[str, tuple[Part, ...]]] = []
+    for number, (label, track) in enumerate(tracks.items()):
+        hue, _ = colour(number)
+        predicted = track.horizontal_sd()
+        error = track.errors(truth).horizontal
+        parts = (
+            Band(track.time_s, np.zeros(len(track)), predicted, f"{label}: up to the predicted rms", hue, 0.3),
+            Line(track.time_s, error, f"{label}: error", hue, width=0.9),
+        )
+        limit = max(limit, _scale(error), _scale(predicted))
+        found.append((f"{label}\nhorizontal [m]", parts))
+    return _on_one_scale(found, (0.0, limit))
+
+
+def _on_one_scale(found: list[tuple[str, tuple[Part, ...]]], limits: tuple[float, float]) -> Stack:
+    return Stack(tuple(Panel(label, parts, limits, lines_at=(0.0,)) for label, parts in found), 1.2)
+
+
+def _scale(values: Array, p: float = 0.998) -> float:
+    finite = np.abs(values[np.isfinite(values)])
+    return 1.1 * float(np.quantile(finite, p)) if finite.size else 0.0
+
+
+def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Stack:
+    """Autocorrelation of the innovations, one panel per sensor axis, with the 95 % limits of white noise.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+        Filtered runs.
+    axes : list of (str, int, str)
+        Sensor, number of its axis, and what the panel is called.
+    """
+    panels = []
+    for name, i, title in axes:
+        lines, count = [], 1
+        for number, (label, track) in enumerate(tracks.items()):
+            series = innovation_series(track.residuals[name], i) if name in track.residuals else np.empty(0)
+            known = series[np.isfinite(series)]
+            if known.size > LAGS and np.ptp(known) > 0.0:
+                lines.append(Line(np.arange(1.0, LAGS + 1.0), acf(series, LAGS)[1:], label, *colour(number)))
+                count = max(count, known.size)
+        limit = 1.96 / math.sqrt(count)
+        white = Level(-limit, limit, "95 % of white noise")
+        panels.append(Panel(title, tuple(lines), lines_at=(0.0,), level=white))
+    return Stack(tuple(panels), 1.1, x_label="lag [readings]")

@@ -4,13 +4,13 @@ by side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
@@ -18,10 +18,7 @@ from navfilter.playback.backward import Apart
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Points, Stack, short
 from navfilter.rendering.thinning import broken
-from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
-Tracks = Mapping[str, Track]
+from navfilter.track.track import Track, Tracks
 
 #: How the truth is drawn.
 TRUTH: dict[str, Any] = {"label": "truth", "hue": "#000000", "dash": (0, (1, 1.2))}

@@ -13,7 +13,6 @@ import numpy as np
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 from bokeh.resources import Resources
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.rendering.clock import Clock
@@ -55,18 +54,14 @@ class Instrument:
         self._figures: list[dict[str, Any]] = []
         self._progress = progress
 
-    def figure(self, what: Stack | Plan | Figure, caption: str) -> str:
-        """HTML of one figure; a matplotlib figure stays as it is."""
-        live: Live | None = None
+    def figure(self, what: Stack | Plan, caption: str) -> str:
+        """HTML of one figure."""
         with style():
             if isinstance(what, Stack):
                 drawn, live = svg(draw(what, self.clock)), live_stack(what, self.clock)
-            elif isinstance(what, Plan):
-                drawn, live = svg(draw_plan(what)), live_plan(what, self.clock)
             else:
-                drawn = svg(what)
-        place = "" if live is None else self._place(live, isinstance(what, Plan))
-        return self._done(figure_html(drawn, caption, place))
+                drawn, live = svg(draw_plan(what)), live_plan(what, self.clock)
+        return self._done(figure_html(drawn, caption, self._place(live, isinstance(what, Plan))))
 
     def _done(self, figure: str) -> str:
         if self._progress is not None:
@@ -90,12 +85,7 @@ class Instrument:
         )
         with style():
             drawn = svg(draw(shown, self.clock))
-        number = len(self._figures)
-        self._figures.append({"item": any_item(), "keys": [], "plan": False})
-        place = (
-            f'<div class="choice">{menus}</div><div class="keys"><span></span></div><div class="live" '
-            f'id="live-{number}" data-figure="{number}" style="min-height:{ANY_HEIGHT}px"></div>'
-        )
+        place = f'<div class="choice">{menus}</div>{self._place(Live(any_item(), [], ANY_HEIGHT), False)}'
         return Section("Any against any", (self._done(figure_html(drawn, ANY, place)),))
 
     def scripts(self) -> Scripts:

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.learned_text import LearnedText
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Line, Panel, Part, Points, Stack, short
-
-Array = NDArray[np.float64]
 
 #: Frequencies of a spectrum that nobody has learnt, from one period in so many samples up.
 FREQUENCIES, LONGEST = 400, 20000

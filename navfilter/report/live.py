@@ -25,14 +25,12 @@ from bokeh.models import (
     glyphs,
 )
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import LEVEL
 from navfilter.rendering.panels import Band, Level, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.rendering.thinning import broken, envelope, extremes, straightened
-
-Array = NDArray[np.float64]
 
 #: A line gets two points for each of so many stretches before what is straight is left out.
 STRETCHES = 1000

@@ -16,28 +16,26 @@ from navfilter.calibration.lights import Light
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.comparison import number_text
 from navfilter.evaluation.control_points import Control
-from navfilter.evaluation.fix_reacquisition import Evidence
+from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Evidence, Surfacing
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
 from navfilter.evaluation.verdict import Verdict
+from navfilter.filter.records import OUTCOMES
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.write import summarise
+from navfilter.models.during import same_sensor
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.rendering.clock import clock_of
 from navfilter.rendering.page import Section, escape, list_html, page, table_html
-from navfilter.rendering.panels import Stack
-from navfilter.report import figures
+from navfilter.rendering.panels import Mark, Stack, short
+from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.constant_table import ABOUT, lights_html
 from navfilter.report.instrument import Instrument
-from navfilter.report.lane_figures import CAPTION, lane_figure, lane_rows
-from navfilter.report.marks import marks
 from navfilter.report.plan_view import plan_view
 from navfilter.report.run_tables import headline_rows, sensor_rows
-from navfilter.report.sensor_sections import sensor_sections
-from navfilter.report.trust_figures import spell_rows, trust_figure
-from navfilter.track.track import Track
+from navfilter.report.trust_figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
+from navfilter.track.track import Track, Tracks
 
-Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 
 _SURFACING = (
@@ -47,6 +45,13 @@ _SURFACING = (
     "fix included). "
     "Of honest ones 95 % lie inside."
 )
+#: A figure with more panels than this does not fit on a printed page.
+_PANELS = 6
+SURFACING, ADOPTION = "#006d2c", "#d94801"
+#: Of the outages of one sensor after the other.
+OUTAGES = ("#8c6bb1", "#7fa8c9", "#c9a227", "#b0647a")
+#: Of more adoptions than this the figures over all sensors show every n-th.
+MOST = 60
 
 
 def write_report(
@@ -74,7 +79,7 @@ def write_report(
     beside : dict of str to Track, optional
         Other runs by label, shown with these over time and from above.
     tiles : path-like, optional
-        For a chart under the track, see `navfilter.report.chart.chart_of`.
+        For a chart under the track, see `navfilter.report.plan_view.chart_of`.
     """
     with replacing(path) as file:
         file.write(render_report(tracks, mission, progress, assessment, beside, tiles))
@@ -189,7 +194,7 @@ def _lanes(track: Track, instrument: Instrument) -> Iterator[Section]:
         return
     header, rows = lane_rows(track)
     table = table_html(header, rows, text_columns=(1, 2, 3)) if rows else "<p>No lane was left.</p>"
-    yield Section("Lanes", (instrument.figure(shown, CAPTION), table))
+    yield Section("Lanes", (instrument.figure(shown, LANES), table))
 
 
 def _band_caption(truth: Stream | None, columns: slice) -> str:
@@ -291,3 +296,130 @@ def _reading(mission: Mission) -> str:
 def _notes(track: Track, mission: Mission) -> str:
     lines = [f"drive: {count} {what}" for what, count in track.counts.items() if count] + list(mission.notes)
     return list_html(lines)
+
+
+# --- a section for each sensor ---------------------------------------------------------------------------------------
+
+
+def sensor_sections(tracks: Tracks, learnt: tuple[LearnedText, ...], instrument: Instrument) -> Iterator[str | Section]:
+    """A menu, and one section for each sensor and each part of the drive that has something to show.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+    learnt : tuple of LearnedText
+        Of the result.
+    instrument : Instrument
+    """
+    states = _states(tracks)
+    runs = figures.filters(tracks)
+    judged = {n: None for t in runs.values() for n, r in t.residuals.items() if r.used.any() and n in t.vehicle.sensors}
+    driven = next((track for track in reversed(list(tracks.values())) if state_figures.drive_residuals(track)), None)
+    steps = {} if driven is None else state_figures.drive_residuals(driven)
+    owners = list(judged | dict.fromkeys(states) | dict.fromkeys(steps))
+    by_owner = {name: tuple(found for found in learnt if _owner(found.title, owners) == name) for name in owners}
+    if owners:
+        options = "".join(f'<option value="{escape(name)}">{escape(name)}</option>' for name in owners)
+        yield f'<p class="choice"><label>Sensor <select class="sensors">{options}</select></label></p>'
+    for name in owners:
+        parts = [*_innovations(runs, name, by_owner[name], instrument)]
+        if driven is not None and name in steps:
+            parts.append(instrument.figure(*state_figures.steps_figure(driven, name)))
+        end_s = max(float(track.time_s[-1]) for track in tracks.values())
+        for caption, stack in learnt_figures.learnt_figures(by_owner[name], end_s):
+            parts.append(instrument.figure(stack, caption))
+        shown = states.get(name, ())
+        for first in range(0, len(shown), _PANELS):
+            stack = state_figures.states_figure(tracks, shown[first : first + _PANELS])
+            marked = _marked(stack, next(iter(runs.values())), name, by_owner[name])
+            parts.append(instrument.figure(marked, f"{name}: estimated error, with its 1-sigma band."))
+        yield Section(name, tuple(parts), sensor=name)
+
+
+def _owner(title: str, owners: list[str]) -> str | None:
+    """Whose axis this is: "dvl x" is of "dvl"."""
+    return max((name for name in owners if title == name or title.startswith(f"{name} ")), key=len, default=None)
+
+
+def _innovations(runs: Tracks, name: str, learnt: tuple[LearnedText, ...], instrument: Instrument) -> Iterator[str]:
+    for label, track in runs.items():
+        if name not in track.residuals or name not in track.vehicle.sensors or not track.residuals[name].used.any():
+            continue
+        many = f" ({label})" if len(runs) > 1 else ""
+        stack = _marked(figures.innovation_figure(track, name), track, name, learnt)
+        yield instrument.figure(stack, f"{name}{many}: innovations, measured minus predicted, {_count(track, name)}.")
+
+
+def _marked(stack: Stack, track: Track, name: str, learnt: tuple[LearnedText, ...]) -> Stack:
+    """With the outages of the sensor, and the adoptions of its models."""
+    found: list[Mark] = outages(track, name) + adoptions(learnt, float(track.time_s[0]))
+    return replace(stack, marks=tuple(found))
+
+
+def _states(tracks: Tracks) -> dict[str, tuple[state_figures.ShownState, ...]]:
+    """The states worth showing, by owner."""
+    by_owner: dict[str, dict[str, state_figures.ShownState]] = {}
+    for track in tracks.values():
+        for state in state_figures.shown_states(track.vehicle):
+            # A state that nothing excites, such as a temperature term without temperatures, has nothing to show.
+            if state.name in track.state_names and track.state(state.name)[1].any():
+                by_owner.setdefault(state.owner, {})[state.name] = state
+    return {owner: tuple(found.values()) for owner, found in by_owner.items()}
+
+
+def _count(track: Track, name: str) -> str:
+    r = track.residuals[name]
+    return ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
+
+
+# --- what is marked in all figures over time -------------------------------------------------------------------------
+
+
+def marks(track: Track, surfacings: tuple[Surfacing, ...], learnt: tuple[LearnedText, ...]) -> tuple[Mark, ...]:
+    """Everything worth a mark in the figures over time.
+
+    Parameters
+    ----------
+    track : Track
+        For its outages.
+    surfacings : tuple of Surfacing
+    learnt : tuple of LearnedText
+    """
+    found = [mark for name in track.residuals for mark in outages(track, name)]
+    found += [Mark(s.time_s, s.time_s, "surfacing", str(s), SURFACING) for s in surfacings]
+    adopted = adoptions(learnt, float(track.time_s[0]))
+    return (*found, *lane_marks(track), *adopted[:: -(-len(adopted) // MOST) or 1])
+
+
+def outages(track: Track, name: str) -> list[Mark]:
+    """Times in which no reading of a sensor was used: longer than 30 s and than five of its usual steps.
+
+    Parameters
+    ----------
+    track : Track
+    name : str
+        The sensor.
+    """
+    run = track.forward or track
+    names = same_sensor(name, run.vehicle.sensors)
+    if name not in run.residuals or not names:
+        return []
+    hue = OUTAGES[list(run.vehicle.sensors).index(name) % len(OUTAGES)]
+    used = np.sort(np.concatenate([r.time_s[r.used] for r in map(run.residuals.get, names) if r is not None]))
+    ends = np.concatenate([[run.time_s[0]], used, [run.time_s[-1]]])
+    steps = np.diff(ends)
+    least_s = max(OUTAGE_S, OUTAGE_STEPS * float(np.median(np.diff(used))) if len(used) > 1 else 0.0)
+    return [
+        Mark(float(ends[k]), float(ends[k + 1]), f"no {short(name)}", f"no {name} used for {steps[k]:.0f} s", hue)
+        for k in np.flatnonzero(steps > least_s)
+    ]
+
+
+def adoptions(learnt: tuple[LearnedText, ...], begin_s: float) -> list[Mark]:
+    """The moments after `begin_s` at which a learnt model came into force; a run may begin with one."""
+    return [
+        Mark(t, t, "model adopted", f"{history.title}: model of order ({model.p}, {model.q}) adopted", ADOPTION)
+        for history in learnt
+        for t, model in zip(history.time_s, history.models, strict=True)
+        if t > begin_s
+    ]

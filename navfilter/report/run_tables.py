@@ -12,9 +12,8 @@ from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.models.mission import Mission
 from navfilter.rendering.page import table_text
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 
-Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 
 #: Columns of the headline table: heading, key of ``summary.json``, format.

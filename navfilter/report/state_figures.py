@@ -5,20 +5,18 @@ drives, which has no innovations.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.vehicle import Vehicle
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Panel, Part, Stack, short
-from navfilter.track.track import Track
+from navfilter.track.track import Track, Tracks
 
-Array = NDArray[np.float64]
 #: Of residuals of the drive, under their figure.
 STEPS = (
     "{name}: residuals of what drives (smoothed run): the step that it would have had to say too much at each time for "
@@ -78,7 +76,7 @@ def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str)
     return found
 
 
-def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -> Stack:
+def states_figure(tracks: Tracks, states: tuple[ShownState, ...]) -> Stack:
     """Estimates over time with their 1-sigma bands, one panel per state.
 
     Parameters

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 LIST = "navfilter-kernels.json"
 #: A cache needs about so much [bytes]; on a fuller disk numba would fail in the middle of a compilation.
 ROOM = 64 << 20
-
-#: Files of kernels that every filter needs.
-FILTER = ("strapdown", "kalman", "measurement")
 #: Any file of kernels: all are kept in one folder.
 _ANY = "navfilter.kernels.measurement"
 
@@ -53,7 +50,7 @@ def make_usable(say: Say) -> None:
     """
     from numba import config
 
-    from navfilter.kernels.compiling.progress import is_compiled
+    from navfilter.kernels.compiling.progress import FILTER, is_compiled
     from navfilter.kernels.compiling.shipped import SHIPPED
 
     try:

@@ -43,7 +43,7 @@ def prepare_log(
     options : Options
     resume : {"strict", "best"}, optional
         Whether a log may be there already, and whether it may be that of another vehicle (see
-        `navfilter.service.resuming`); the half line that a crash left at its end is then cut off.
+        `navfilter.service.loop`); the half line that a crash left at its end is then cut off.
     tell : callable
         Takes a sentence about what does not fit.
 

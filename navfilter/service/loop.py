@@ -6,24 +6,25 @@ whatever goes wrong with one of them is told and counted.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from navfilter.io.json_lines import BadLine, Item, LineParser, Note, Reading
 from navfilter.models.vehicle import Vehicle
-from navfilter.service.disk import Disk
+from navfilter.service.disk import Disk, StateFile
 from navfilter.service.instruments import Instrument
 from navfilter.service.kernel_cache import warm
 from navfilter.service.log import LOG_FILE, log_items, logged_options, prepare_log, remade_log, run_note
 from navfilter.service.output import Outlet
 from navfilter.service.protocol import Lines, event_line
-from navfilter.service.resuming import earlier_run
 from navfilter.service.session import Options, Session
-from navfilter.service.setup import Service
 from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
+from navfilter.service.waterlinked import WaterLinked
 
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1
@@ -364,9 +365,6 @@ class Tally:
         return [BadLine.several(kind, count) for kind, count in counts.items()]
 
 
-_STDOUT = 1
-
-
 def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Callable[[str], None]) -> int:
     """Feed a log again: the output of the run that wrote it, bit for bit.
 
@@ -409,3 +407,140 @@ def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Ca
         return 0
     finally:
         stop.restore()
+
+
+# --- what an earlier run left ----------------------------------------------------------------------------------------
+
+
+class Past(NamedTuple):
+    """What an earlier run left.
+
+    Parameters
+    ----------
+    session : Session
+        As its snapshot had it, or a new one.
+    snapshot : bool
+        Whether there was a snapshot.
+    offset : int or None
+        Byte of the log at which the feeding begins; None where there is nothing to feed.
+    """
+
+    session: Session
+    snapshot: bool
+    offset: int | None
+
+
+def earlier_run(
+    make: Callable[[Options], Session],
+    options: Options,
+    state: Path | None,
+    log: Path | None,
+    policy: str | None,
+    tell: Callable[[str], None],
+) -> Past:
+    """Find what an earlier run left.
+
+    Parameters
+    ----------
+    make : callable
+        Makes a session.
+    options : Options
+        Of the present run; a log is fed with its own.
+    state, log : Path, optional
+        Files of the snapshot and of the log, as far as they are in use.
+    policy : {"strict", "best"}, optional
+        None: this is a new run.
+    tell : callable
+        Takes a sentence about what does not fit.
+
+    Raises
+    ------
+    ValueError
+        When something does not fit and the policy is "strict".
+    """
+    size = 0 if log is None else log.stat().st_size
+    if policy is None:
+        return Past(make(options), False, None)
+    if state is not None:
+        try:
+            session = make(options)
+            place = _restored(session, state)
+            return Past(session, True, _checked_place(place, size, state, policy, tell) if log is not None else None)
+        except FileNotFoundError:
+            pass
+        except Exception as error:  # nobody can say what a damaged file does
+            if policy == "strict":
+                raise
+            tell(f"the snapshot is refused: {error}")
+            with contextlib.suppress(OSError):
+                if state.is_file():
+                    state.replace(state.with_name(state.name + ".refused"))
+    if log is None or not size:
+        return Past(make(options), False, None)
+    try:
+        options = logged_options(log)
+    except ValueError as error:
+        if policy == "strict":
+            raise
+        tell(f"{error} What can be read is fed with the options of this run")
+    return Past(make(options), False, 0)
+
+
+def _restored(session: Session, state: Path) -> int | None:
+    """Bring a session to its snapshot; how much of the log was in it."""
+    saved, nav, place = StateFile.read(state)
+    session.restore(saved, nav)
+    return place
+
+
+def _checked_place(place: int | None, size: int, state: Path, policy: str, tell: Callable[[str], None]) -> int | None:
+    """Where the feeding of a log begins."""
+    if place is None or place <= size:
+        return place
+    if policy == "strict":
+        raise ValueError(f"the log is shorter than when the snapshot {state} was taken: it belongs to another run.")
+    tell("the log is shorter than when the snapshot was taken: going on from the snapshot, the log lacks readings")
+    return None
+
+
+# --- how a run is set up ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Service:
+    """How a run is set up, beside what decides its output (`Options`).
+
+    Parameters
+    ----------
+    input : int or (str, int) or None
+        File descriptor, or host and port to listen on; None: only the sources.
+    sources : tuple of WaterLinked
+        Instruments to connect to.
+    silent_s : float
+        A client without a reading for so long [s] loses its place to one that comes.
+    log : Path, optional
+        Folder of the log.
+    fsync_s : float
+        The log is synced so often [s].
+    state : Path, optional
+        File of the snapshots.
+    snapshot_s : float
+        One every so many seconds.
+    resume : {"strict", "best"}, optional
+        Continue from the snapshot and the log, and what to do when they do not fit (see `navfilter.service.loop`).
+    health : Path, optional
+        State file for others.
+    say : callable
+        Takes a line for the operator; must neither wait nor raise.
+    """
+
+    input: int | tuple[str, int] | None
+    sources: tuple[WaterLinked, ...] = ()
+    silent_s: float = 10.0
+    log: Path | None = None
+    fsync_s: float = 1.0
+    state: Path | None = None
+    snapshot_s: float = 10.0
+    resume: str | None = None
+    health: Path | None = None
+    say: Callable[[str], None] = lambda text: None

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Changing, Faults, Models
-from navfilter.simulation.hard_errors import HARD
 from navfilter.simulation.manoeuvres import Lawnmower
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import StartErrors, simulate
-from navfilter.simulation.studies import BELIEF, USUAL, Study
+from navfilter.simulation.studies import BELIEF, HARD, USUAL, Study
 
 __all__ = ["Study"]
 

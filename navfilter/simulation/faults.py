@@ -14,12 +14,11 @@ from itertools import pairwise
 
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
-from numpy.typing import NDArray
 from scipy.linalg import schur
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import ErrorModel, per_axis
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 Models = ErrorModel | Sequence[ErrorModel]
 

@@ -14,10 +14,11 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from navfilter.foundation.arguments import within
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import White
 from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.models.mechanisation.imu import CROSSED
@@ -31,8 +32,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.simulation.faults import Faults, Models, draw_error, draw_errors, generator, outliers, quantise
 from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
 from navfilter.simulation.motion import Motion
-
-Array = NDArray[np.float64]
 
 SURFACE_DEPTH_M = 0.3  # an antenna works down to this depth
 

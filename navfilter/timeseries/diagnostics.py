@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.initial_values import tidy_series
-
-Array = NDArray[np.float64]
 
 # Truly white noise exceeds its limits at a fraction int_0^1 2 Phi(-1.96/sqrt(1-x)) dx of all N lags, because the
 # biased autocorrelation shrinks with the lag; 0.05 over that fraction is what the thesis's measure scores then.

@@ -11,18 +11,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq, minimize_scalar
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.timeseries.diagnostics import acf
-from navfilter.timeseries.fit import fitted
+from navfilter.timeseries.fit import Problem, fitted
 from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.regression import Problem
-from navfilter.timeseries.spectral import spectral_factor
-
-Array = NDArray[np.float64]
+from navfilter.timeseries.polynomials import spectral_factor
 
 
 def gauss_markov_correlation(order: int, beta_tau: ArrayLike) -> Array:

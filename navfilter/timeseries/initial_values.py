@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.roots import pull_inside
-
-Array = NDArray[np.float64]
 
 
 def tidy_series(series: ArrayLike, least: int, what: str, gaps: bool = False) -> Array:

@@ -13,13 +13,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.roots import is_stable
 from navfilter.timeseries.stationary import observer
 
-Array = NDArray[np.float64]
 # A zero of C on the circle itself would never forget its start; this radius keeps memory finite in floating point.
 ZERO_RADIUS = 1.0 - 1e-7
 POLE_RADIUS = 1.0 - 1e-10

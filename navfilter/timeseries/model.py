@@ -15,11 +15,10 @@ import scipy  # its parts are imported when they are first used: that takes a se
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.roots import is_stable, roots_of
 from navfilter.timeseries.stationary import observer, settled
-
-Array = NDArray[np.float64]
 
 
 def _coefficients(values: ArrayLike | None, name: str) -> Array:

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value
 from navfilter.timeseries.diagnostics import Whiteness, whiteness
-from navfilter.timeseries.fit import ArmaFit, fitted
+from navfilter.timeseries.fit import ArmaFit, Problem, fitted
 from navfilter.timeseries.likelihood import Objective, Point, minimise
 from navfilter.timeseries.order_criterion import Choice
-from navfilter.timeseries.regression import Problem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

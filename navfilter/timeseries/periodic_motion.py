@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 from scipy.signal import welch
 
 from navfilter.foundation.arguments import numbers
-
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 
 def find_motion_band(series: ArrayLike, rate_hz: float) -> tuple[float, float] | None:

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import arma_fit as kernels
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Imaginary parts below this are rounding: the root is real.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 
 def observer(a: Array, c: Array) -> tuple[Array, Array]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from navfilter.foundation.arrays import Array
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 
 def heave(track: Track, period_s: float = 30.0) -> Array:

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 
-Array = NDArray[np.float64]
 Times = NDArray[Any]  # float64, or datetime64
 COLOUR, END_COLOUR = "#0072b2", "#d55e00"
 

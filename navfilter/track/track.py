@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.filter.records import Residuals
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import intervals, needs, rows_of, within
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, often, span
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import block_level
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.timeseries.model import ArmaModel
 
-Array = NDArray[np.float64]
 _TRUTH = "That of a mission is mission.truth."
 #: Fields with one row per time.
 _BY_ROW = ("time_s", "latitude", "longitude", "height", "velocity_n", "attitude", "covariance", "states", "states_sd")
@@ -506,3 +507,7 @@ def _in_words(errors: Array, unit: str) -> str | None:
     if not len(known):
         return None
     return f"{math.sqrt(float(np.mean(known**2))):.3g} rms, {known.max():.3g} at most [{unit}]"
+
+
+#: Runs by label.
+Tracks = Mapping[str, Track]

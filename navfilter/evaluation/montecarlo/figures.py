@@ -14,17 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.statistics import chi_square_band
 from navfilter.evaluation.montecarlo.store import write_whole
+from navfilter.foundation.arrays import Array
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import WIDTH_IN, colour, style, time_axis
-
-Array = NDArray[np.float64]
-
 
 #: Components of the NEES of a position, of a heading.
 _FREEDOM = {"nees_position": 3, "nees_heading": 1}

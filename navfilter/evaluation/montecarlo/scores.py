@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, Slots, slot_figures
 from navfilter.filter.records import Residuals
+from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission
 from navfilter.timeseries.diagnostics import whiteness
 from navfilter.track.track import Track, TrackErrors
-
-Array = NDArray[np.float64]
 
 TRACKS = ("forward", "smoothed")
 #: Of each track, over the scored part; `_first` over the part before it. What belongs to the run stands with its

@@ -5,11 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.track.track import Track, TrackErrors
 
-Array = NDArray[np.float64]
 #: Begin and end of each [s].
 Slots = tuple[tuple[float, float], ...]
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
+
 #: Value, lower end, upper end.
 Estimate = tuple[float, float, float]
 
@@ -112,6 +113,31 @@ def share_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
     centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     return p, max(centre - half, 0.0), min(centre + half, 1.0)
+
+
+def estimate(quantity: str, values: ArrayLike) -> Estimate:
+    """A figure of a campaign by its kind: a root mean square, a share of the runs, or a mean."""
+    if "rms" in quantity or quantity == "end_m":
+        return rms_interval(values)
+    if quantity in ("white", "adopted"):
+        return share_interval(values)
+    value, low, high = mean_interval(values)
+    # with few runs Student's interval does not know that no figure is negative, and that no share is more than all
+    most = 1.0 if quantity.startswith("beyond") else math.inf
+    return value, max(low, 0.0) if math.isfinite(low) else low, min(high, most) if math.isfinite(high) else high
+
+
+def interval_text(value: float, low: float = math.nan, high: float = math.nan, form: str = ".3f") -> str:
+    """A value with its interval, as far as there are any.
+
+    Examples
+    --------
+    >>> interval_text(1.0, 0.5, 2.0, ".1f"), interval_text(1.0), interval_text(math.nan)
+    ('1.0 (0.5..2.0)', '1.000', '-')
+    """
+    if not math.isfinite(value):
+        return "-"
+    return format(value, form) + (f" ({format(low, form)}..{format(high, form)})" if math.isfinite(low) else "")
 
 
 def chi_square_band(runs: int, dof: int, level: float = 0.95) -> tuple[float, float]:

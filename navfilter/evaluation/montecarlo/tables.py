@@ -4,39 +4,28 @@ parquet.
 
 from __future__ import annotations
 
-import csv
 import io
 import json
-import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
-from navfilter.evaluation.montecarlo.bars import JUDGED, Bar, bar_table, bars
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
+from navfilter.evaluation.montecarlo.slot_tables import JUDGED, Bar, SlotRow, bar_table, bars, slot_rows, slot_table
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES
-from navfilter.evaluation.montecarlo.statistics import (
-    Estimate,
-    mean_interval,
-    ratio_interval,
-    rms_interval,
-    share_interval,
-)
+from navfilter.evaluation.montecarlo.statistics import estimate, interval_text, ratio_interval
 from navfilter.evaluation.montecarlo.store import write_whole
+from navfilter.foundation.quoting import json_value
 from navfilter.rendering.page import table_text
-
-Array = NDArray[np.float64]
 
 #: Models that the others are divided by.
 REFERENCES = ("gm1-fitted", "oracle")
 _RATIOS = ("heading_rms_deg", "position_rms_m")
-_SHARES = ("white", "adopted")
 _MAIN = {
     "heading_rms_deg": ("heading rms [deg]", ".4f"),
     "position_rms_m": ("position rms [m]", ".2f"),
@@ -93,7 +82,7 @@ def rows(results: Results) -> list[Row]:
                 values = results.scores[m, t, :, q]
                 n = int(np.isfinite(values).sum())
                 if n:
-                    found.append(Row(model, track, quantity, *_estimate(quantity, values), runs=n))
+                    found.append(Row(model, track, quantity, *estimate(quantity, values), runs=n))
     return found
 
 
@@ -112,16 +101,6 @@ def ratios(results: Results) -> list[Row]:
                     n = int((np.isfinite(pair[0]) & np.isfinite(pair[1])).sum())
                     found.append(Row(model, track, quantity, *ratio_interval(*pair), runs=n, reference=reference))
     return found
-
-
-def _estimate(quantity: str, values: Array) -> Estimate:
-    if "rms" in quantity or quantity == "end_m":
-        return rms_interval(values)
-    if quantity in _SHARES:
-        return share_interval(values)
-    value, low, high = mean_interval(values)
-    # none of these figures can be negative; with few runs Student's interval does not know that
-    return value, max(low, 0.0) if math.isfinite(low) else low, high
 
 
 def table(results: Results) -> str:
@@ -179,10 +158,7 @@ def _ratio_block(results: Results, compared: list[Row], reference: str) -> str:
 
 
 def _cell(row: Row | None, form: str) -> str:
-    if row is None or not math.isfinite(row.value):
-        return "-"
-    value = format(row.value, form)
-    return value if not math.isfinite(row.low) else f"{value} ({format(row.low, form)}..{format(row.high, form)})"
+    return "-" if row is None else interval_text(row.value, row.low, row.high, form)
 
 
 def write_tables(results: Results, folder: Path) -> list[str]:
@@ -200,8 +176,8 @@ def write_tables(results: Results, folder: Path) -> list[str]:
         "bars": [_dict(bar) | {"met": bar.met} for bar in bars(results.campaign, apart)],
     }
     write_whole(folder / "table.txt", (table(results) + "\n").encode())
-    write_whole(folder / "results.csv", _csv(names, found))
-    write_whole(folder / "slots.csv", _csv([field.name for field in fields(SlotRow)], content["slots"]))
+    write_whole(folder / "results.csv", _csv(found, names))
+    write_whole(folder / "slots.csv", _csv(content["slots"], [field.name for field in fields(SlotRow)]))
     write_whole(folder / "results.json", (json.dumps(content, indent=1) + "\n").encode())
     write_whole(folder / "runs.npz", _npz(results))
     written = ["table.txt", "results.csv", "slots.csv", "results.json", "runs.npz"]
@@ -209,19 +185,12 @@ def write_tables(results: Results, folder: Path) -> list[str]:
 
 
 def _dict(row: Row | SlotRow | Bar) -> dict[str, Any]:
-    return {field.name: _plain(getattr(row, field.name)) for field in fields(row)}
+    return {key: json_value(value) for key, value in asdict(row).items()}
 
 
-def _csv(names: Sequence[str], found: Iterable[dict[str, Any]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(found)
-    return text.getvalue().encode()
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _csv(found: list[dict[str, Any]], columns: Sequence[str]) -> bytes:
+    text: str = pd.DataFrame(found, columns=columns, dtype=object).to_csv(index=False, lineterminator="\n")
+    return text.encode()
 
 
 def _npz(results: Results) -> bytes:
@@ -250,17 +219,12 @@ def _parquet(results: Results, path: Path) -> list[str]:
         import pyarrow  # noqa: F401
     except ImportError:
         return []
-    import pandas as pd
-
-    frames = []
-    for m, model in enumerate(results.models):
-        for t, track in enumerate(results.tracks):
-            frame = pd.DataFrame(results.scores[m, t], columns=list(SCORES))
-            frame.insert(0, "seed", results.seeds)
-            frame.insert(0, "track", track)
-            frame.insert(0, "model", model)
-            frames.append(frame)
+    frames = [
+        pd.DataFrame(results.scores[m, t], columns=list(SCORES)).assign(model=model, track=track, seed=results.seeds)
+        for m, model in enumerate(results.models)
+        for t, track in enumerate(results.tracks)
+    ]
     buffer = io.BytesIO()
-    pd.concat(frames, ignore_index=True).to_parquet(buffer, index=False)
+    pd.concat(frames, ignore_index=True)[["model", "track", "seed", *SCORES]].to_parquet(buffer, index=False)
     write_whole(path, buffer.getvalue())
     return [path.name]

@@ -17,14 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pymavlink import mavutil
 
+from navfilter.foundation.arrays import Array
 from navfilter.io.logs import dataflash
 from navfilter.io.logs.topic_names import Wanted, without_instance
 from navfilter.models.mission import MissionError
-
-Array = npt.NDArray[np.float64]
 
 #: Units as these logs write them -> as a mission.toml does.
 _UNITS = dict.fromkeys(("degheading", "deglatitude", "deglongitude"), "deg")

@@ -20,11 +20,11 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.DFReader import DFFormat, null_term
 
-from navfilter.io.logs.progress import byte_bar
+from navfilter.foundation.arrays import Array
+from navfilter.io.logs.lines import byte_bar
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.models.mission import MissionError
 
-Array = npt.NDArray[np.float64]
 Places = dict[int, list[int]]
 
 _BLOCK = 4 << 20

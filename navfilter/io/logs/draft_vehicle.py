@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -42,65 +44,13 @@ class Like:
     position: str
 
 
-_MEMS = (
-    1.7e-4,
-    '{model = "random-walk", density_deg_per_h_per_sqrt_h = 20.0, start_sd_deg_per_h = 600.0}',
-    3e-3,
-    '{model = "random-walk", density = 2e-5, start_sd_mg = 20.0}',
-)
-_FINE = (
-    1.5e-5,
-    '{model = "random-walk", density_deg_per_h_per_sqrt_h = 0.5, start_sd_deg_per_h = 5.0}',
-    1e-3,
-    '{model = "random-walk", density = 8e-6, start_sd_mg = 1.0}',
-)
+def _kinds() -> dict[str, Like]:
+    """The kinds by name, each with the inertial unit that is usual for it."""
+    told = tomllib.loads(Path(__file__).with_name("usual_errors.toml").read_text(encoding="utf-8"))
+    return {name: Like(**told["units"][kind.pop("unit")], **kind) for name, kind in told["kinds"].items()}
 
-LIKE = {
-    "bluerov2": Like(
-        "a small vehicle with a micromechanical inertial unit, magnetometer, DVL and an acoustic positioning system",
-        "imu",
-        *_MEMS,
-        '[{model = "gauss-markov", sd_deg = 3.0, tau_s = 60}, {model = "white", sd_deg = 1.0}]',
-        '{model = "white", sd_deg = 1.0}',
-        '[{model = "gauss-markov", sd = 0.02, tau_s = 5}, {model = "white", sd = 0.02}]',
-        '[{model = "gauss-markov", sd = 0.2, tau_s = 300}, {model = "white", sd = 0.05}]',
-        '{model = "white", sd = 0.05}',
-        '[{model = "gauss-markov", sd = 1.5, tau_s = 30}, {model = "white", sd = 1.0}]',
-    ),
-    "survey": Like(
-        "a survey vehicle with a tactical inertial unit or better, DVL and GPS",
-        "imu",
-        *_FINE,
-        '{model = "gauss-markov", sd_deg = 0.6, tau_s = 30}',
-        '{model = "white", sd_deg = 0.3}',
-        '{model = "white", sd = 0.01}',
-        '[{model = "gauss-markov", sd = 0.2, tau_s = 600}, {model = "white", sd = 0.02}]',
-        '{model = "white", sd = 0.05}',
-        '{model = "gauss-markov", sd = 3.0, tau_s = 60}',
-    ),
-    "glider": Like(
-        "a glider: compass and depth, no velocity, fixes between dives, a current as large as its own speed",
-        "dead-reckoning",
-        *_MEMS,
-        '[{model = "gauss-markov", sd_deg = 3.0, tau_s = 600}, {model = "white", sd_deg = 1.0}]',
-        '{model = "white", sd_deg = 1.0}',
-        '{model = "gauss-markov", sd = 0.3, tau_s = 3600}',
-        '{model = "gauss-markov", sd = 0.3, tau_s = 3600}',
-        '{model = "white", sd = 0.2}',
-        '{model = "white", sd = 10.0}',
-    ),
-    "yacht": Like(
-        "a boat: compass, speed through the water, GPS",
-        "dead-reckoning",
-        *_MEMS,
-        '[{model = "gauss-markov", sd_deg = 4.0, tau_s = 120}, {model = "white", sd_deg = 1.5}]',
-        '{model = "white", sd_deg = 5.0}',
-        '[{model = "gauss-markov", sd = 0.05, tau_s = 60}, {model = "white", sd = 0.1}]',
-        '[{model = "gauss-markov", sd = 0.3, tau_s = 600}, {model = "white", sd = 0.15}]',
-        '{model = "white", sd = 0.1}',
-        '[{model = "gauss-markov", sd = 2.0, tau_s = 60}, {model = "white", sd = 1.0}]',
-    ),
-}
+
+LIKE = _kinds()
 #: Wheels slip, cameras lose their scale.
 _ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", sd = 0.1}]'
 #: Velocity of a receiver, whose antenna moves with the vessel.

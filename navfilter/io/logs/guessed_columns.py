@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.io import dates
 from navfilter.io.axis_columns import bare_name, found_axes, size_of_axes
 from navfilter.io.columns import since_1970, unit_of_times
@@ -33,8 +34,6 @@ from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import ALIASES, UNITS, angles, unit
 from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import MissionError
-
-Array = npt.NDArray[np.float64]
 
 TABLE = Format("a table", "guessed_columns", (".csv", ".txt", ".dat", ".tsv", ".log", ".asc"))
 #: Quantity -> what its column may be called, in lower case and without its unit.

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any, TypeVar
 
-from navfilter.io.logs.progress import byte_bar
 from navfilter.io.trust import BROKEN, OPENERS, Allowance
 from navfilter.models.mission import MissionError
 
 #: Read at a time; a longer "line" than the second is no line of text.
 _BLOCK, _LONGEST = 1 << 18, 1 << 16
+Item = TypeVar("Item")
+#: Reading that is done sooner shows no bar [s].
+_PATIENCE_S = 1.0
 
 
 def lines(path: Path, tally: Counter[str], allowance: Allowance) -> Iterator[bytes]:
@@ -66,3 +69,29 @@ def first_bytes(path: Path, most: int = 1 << 16) -> bytes:
     except BROKEN:
         pass
     return found
+
+
+# --- progress --------------------------------------------------------------------------------------------------------
+
+
+def bar(items: Iterable[Item], path: Path, total: int | None, unit: str) -> Iterator[Item]:
+    """Pass items on, with a bar on standard error where that is a terminal and reading takes long."""
+    from tqdm import tqdm
+
+    yield from tqdm(
+        items,
+        desc=path.name,
+        total=total,
+        unit=f" {unit}",
+        delay=_PATIENCE_S,
+        disable=None,
+        leave=False,
+        unit_scale=True,
+    )
+
+
+def byte_bar(path: Path, total: int) -> Any:
+    """A bar of bytes, to be told of progress with ``update(bytes)`` and closed."""
+    from tqdm import tqdm
+
+    return tqdm(desc=path.name, total=total, unit="B", unit_scale=True, delay=_PATIENCE_S, disable=None, leave=False)

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from navfilter.io.logs.progress import byte_bar
+from navfilter.io.logs.lines import byte_bar
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
 _SYNC = 0xA5

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 #: Longer sequences (images, point clouds, spectra) are no columns.
 _LONGEST_SEQUENCE = 36

@@ -27,7 +27,7 @@ from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from navfilter.io.logs.progress import bar
+from navfilter.io.logs.lines import bar
 from navfilter.io.logs.topic_names import Wanted
 from navfilter.io.trust import Allowance
 from navfilter.models.mission import MissionError

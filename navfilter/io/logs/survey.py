@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.foundation.quoting import one_line
 from navfilter.io.logs.cache import files_of
@@ -20,8 +21,6 @@ from navfilter.io.logs.record_columns import LOG_TIME, TopicColumns
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 from navfilter.io.trust import UNPACKED_BYTES, Allowance
 from navfilter.models.mission import MissionError
-
-Array = npt.NDArray[np.float64]
 
 #: Records of each topic that are kept for a look at their values.
 _KEPT = 3000

@@ -16,12 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.io.tracks.atomic_files import replacing
 from navfilter.models.mission import Mission
 from navfilter.models.state import wrap
 from navfilter.track.track import Track
-
-Array = npt.NDArray[np.float64]
 
 #: A line on a map needs no more points than this.
 _MAP_POINTS = 4000

@@ -9,15 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.io.tracks.atomic_files import pieces, replaced_by
 from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
 
 #: Columns of the points: name (ten characters, as dBase has them), decimals.
 _POINTS = {"time_s": 3, "height_m": 3, "depth_m": 3, "heading": 3, "speed_m_s": 3, "sd_north": 4, "sd_east": 4}

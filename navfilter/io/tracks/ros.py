@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -32,15 +31,15 @@ from scipy.spatial.transform import Rotation
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
+from navfilter.io.geodesy import ENU, local_enu, origin_of, plane_from_n
 from navfilter.io.tracks.atomic_files import pieces, replacing_tree
 from navfilter.io.tracks.formats import is_nowhere
-from navfilter.io.tracks.local import ENU, local_enu, origin_of, plane_from_n
 from navfilter.models.health import SensorHealth
 from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler
 from navfilter.track.track import Track
 
-Array = npt.NDArray[np.float64]
 Stamped = Iterator[tuple[int, int, Any]]
 
 #: Forward, right, down -> forward, left, up.

@@ -13,15 +13,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from navfilter.foundation import utc
+from navfilter.foundation.arrays import Array
 from navfilter.io.tracks.atomic_files import pieces, replacing_binary
 from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
 from navfilter.track.track import Track
-
-Array = npt.NDArray[np.float64]
 
 _WEEK_NS = 7 * 86400 * 10**9
 #: 1980-01-06, when GPS time began and was UTC [s since 1970].

@@ -9,15 +9,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from navfilter.foundation.arrays import Array
+from navfilter.io.geodesy import Origin, local_enu, origin_of, plane_from_body
 from navfilter.io.tracks.atomic_files import pieces, replacing
-from navfilter.io.tracks.local import Origin, local_enu, origin_of, plane_from_body
 from navfilter.models.mission import Mission, Stream
 from navfilter.track.track import Track
-
-Array = npt.NDArray[np.float64]
 
 
 def write(track: Track, path: Path, mission: Mission | None = None) -> None:

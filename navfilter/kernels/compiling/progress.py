@@ -20,6 +20,8 @@ _EVERY_S = 10.0
 _WIDTH = 79
 _KERNELS = "navfilter.kernels."
 _FOLDER = Path(__file__).parents[1]
+#: Files of kernels that every filter needs.
+FILTER = ("strapdown", "kalman", "measurement")
 #: Files of kernels that no navigation needs: `navfilter identify --online` does.
 _APART = {"recursive_arma", "recursive_arma_window"}
 

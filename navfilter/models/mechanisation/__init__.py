@@ -1,17 +1,10 @@
 """What drives the state between corrections: an inertial unit, or attitude and body velocity."""
 
-from navfilter.models.mechanisation.dead_reckoning import DeadReckoning
-from navfilter.models.mechanisation.dead_reckoning_lane import DeadReckoningLane
-from navfilter.models.mechanisation.imu import ACCEL_PRIOR, GYRO_PRIOR, Imu
-from navfilter.models.mechanisation.mechanisation import DriveNoise, Mechanisation, Triple
-
-__all__ = [
-    "ACCEL_PRIOR",
-    "GYRO_PRIOR",
-    "DeadReckoning",
-    "DeadReckoningLane",
-    "DriveNoise",
-    "Imu",
-    "Mechanisation",
-    "Triple",
-]
+from navfilter.models.mechanisation.dead_reckoning import DeadReckoning as DeadReckoning
+from navfilter.models.mechanisation.dead_reckoning import DeadReckoningLane as DeadReckoningLane
+from navfilter.models.mechanisation.imu import ACCEL_PRIOR as ACCEL_PRIOR
+from navfilter.models.mechanisation.imu import GYRO_PRIOR as GYRO_PRIOR
+from navfilter.models.mechanisation.imu import Imu as Imu
+from navfilter.models.mechanisation.mechanisation import DriveNoise as DriveNoise
+from navfilter.models.mechanisation.mechanisation import Mechanisation as Mechanisation
+from navfilter.models.mechanisation.mechanisation import Triple as Triple

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.models.learned_arma import learning_part
+from navfilter.models.mechanisation.imu import Imu
 from navfilter.models.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
@@ -27,7 +28,6 @@ from navfilter.models.sensors.velocity import VELOCITY
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
-Array = NDArray[np.float64]
 #: Where the kernels look for states that a drive may have, and the first of each.
 FIRST_PARAMETERS = {
     strapdown.DEVIATION: "yaw.one_cycle_sin",
@@ -289,3 +289,33 @@ class DeadReckoning(Mechanisation):
                 text = "the errors of what drives are never learnt: nothing measures them by themselves."
                 cure = "Give it a fixed model, such as the prior; only its prior is in force now."
                 yield Doubt(part.place, text, cure)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadReckoningLane(Imu):
+    """An inertial unit that reads nothing: the dead-reckoning lane of a vehicle.
+
+    All its axes are left out from the start, as the watch over the drive leaves out one that is dead
+    (`navfilter.faults.imu.monitor`): attitude and velocity are held, with the noise of what the vehicle may do unseen
+    (`gap_rate_sd`, `gap_force_sd`). Heading then comes from the compass, velocity from the DVL, each with the error
+    model that its sensor has. Its samples are zeros on a clock of their own.
+    """
+
+    rate_hz: float = 10.0
+    gyro: ErrorModel | tuple[ErrorModel, ...] = White(density=0.0)
+    accel: ErrorModel | tuple[ErrorModel, ...] = White(density=0.0)
+
+    feels: ClassVar[bool] = False
+
+    def limits(self) -> Array:
+        """Every sample is at the end of a range that has no length."""
+        return np.zeros(6)
+
+    @property
+    def words(self) -> str:
+        """What drives."""
+        return "dead reckoning by compass and velocity"
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Nobody describes it."""
+        yield from ()

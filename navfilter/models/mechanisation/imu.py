@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import (
@@ -33,7 +33,6 @@ from navfilter.models.sensors.traits import Columns, Doubt, Plausible, angle_dou
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
-Array = NDArray[np.float64]
 RATE = Columns("rate", ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s"), ("angular rate",) * 3)
 FORCE = Columns("force", ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"), ("acceleration",) * 3)
 ROTATION = Columns("rotation", ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad"), ("angle",) * 3)

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, checked_number
@@ -22,8 +22,6 @@ from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Plausible
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
-
-Array = NDArray[np.float64]
 
 
 class DriveNoise(NamedTuple):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White, per_axis
 from navfilter.models.learned_arma import learning_part, resolve_prior
@@ -23,7 +23,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-Array = NDArray[np.float64]
 MOST_BEAMS = 4
 BEAMS = Columns(
     "beams", tuple(f"beam_{i}_m_s" for i in range(1, 5)), ("speed",) * MOST_BEAMS, least=3, independent=True

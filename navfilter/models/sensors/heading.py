@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.navigation_drift import Drift, DriftSource
@@ -22,7 +23,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-Array = NDArray[np.float64]
 HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
 #: Elements of the soft iron that are states, in their order.

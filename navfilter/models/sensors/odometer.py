@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import White
 from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
@@ -18,7 +18,6 @@ from navfilter.models.sensors.velocity import BodyVelocity
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-Array = NDArray[np.float64]
 SPEED = Columns("wheel_speed", ("wheel_speed_m_s",), ("speed",))
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.navigation_drift import Drift, DriftSource
@@ -22,7 +23,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-Array = NDArray[np.float64]
 DEPTH = Columns("depth", ("depth_m",), ("length",))
 PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))
 POSITION = Columns(

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement, strapdown
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.parameters import Parameter
@@ -21,7 +22,6 @@ from navfilter.models.start import Start
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-Array = NDArray[np.float64]
 EARTH = (strapdown.EARTH_RADIUS, strapdown.EARTH_E2)
 RANGE = Columns("range", ("range_m",), ("length",))
 BEACON = Columns("beacon", ("beacon",), ("number",))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.parameters import Parameter
@@ -23,7 +23,6 @@ from navfilter.models.state import matrix_from_euler
 if TYPE_CHECKING:
     from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
-Array = NDArray[np.float64]
 POLAR = Columns(
     "usbl",
     ("usbl_range_m", "usbl_bearing_rad", "usbl_elevation_rad"),

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement, strapdown
 from navfilter.models.error_models import White
 from navfilter.models.sensors.observable import Observable
@@ -18,7 +18,6 @@ from navfilter.models.sensors.traits import Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import ZeroVelocity
 from navfilter.models.start import Start
 
-Array = NDArray[np.float64]
 #: A vehicle does not rest for the filter that is faster by so many standard deviations [1] than what hardly turns it
 #: [m/s], or whose velocity is not known to so much [m/s].
 SURE, RESTING_M_S, KNOWN_M_S = 5.0, 0.01, 0.05

@@ -8,9 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown, few
 from navfilter.kernels import recursive_arma as kernel
 from navfilter.timeseries.model import ArmaModel, log_s0_sd
@@ -18,8 +19,6 @@ from navfilter.timeseries.online.recursive import RecursiveArma
 from navfilter.timeseries.order_criterion import Challenge, Choice
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius
-
-Array = NDArray[np.float64]
 
 BANK_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))
 #: A candidate this far behind by the criterion is followed by its recursion alone until the order in use no longer

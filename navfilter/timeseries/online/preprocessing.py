@@ -6,15 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import needs, numbers
 from navfilter.foundation.display import Shown
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.online.order_bank import ArmaBank
 from navfilter.timeseries.online.recursive import RecursiveArma
-
-Array = NDArray[np.float64]
 
 
 class FrontEnd(Shown):

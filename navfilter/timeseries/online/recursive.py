@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown, few
 from navfilter.kernels import recursive_arma as kernel
 from navfilter.timeseries.diagnostics import whiteness
 from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.online.window import WindowFit
 from navfilter.timeseries.roots import has_unit_root, is_stable
-
-Array = NDArray[np.float64]
 
 
 class RecursiveArma(Shown):

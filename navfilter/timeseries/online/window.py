@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import recursive_arma as kernel
 from navfilter.kernels import recursive_arma_window as window_kernel
 from navfilter.timeseries.initial_values import hannan_rissanen_start, long_residuals
-
-Array = NDArray[np.float64]
 
 # Passes that polish a window: two usually suffice from a running estimate, a cold start may need many.
 PASSES, COLD_PASSES = 15, 30

@@ -1,0 +1,6 @@
+"""Arrays of numbers, as the signatures of the package call them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]

@@ -1,0 +1,30 @@
+"""The public names, each with the module that holds it; imported when first used."""
+
+from navfilter.timeseries.diagnostics import Whiteness as Whiteness
+from navfilter.timeseries.diagnostics import allan_deviation as allan_deviation
+from navfilter.timeseries.diagnostics import allan_edf as allan_edf
+from navfilter.timeseries.diagnostics import cross_correlation as cross_correlation
+from navfilter.timeseries.fit import ArmaFit as ArmaFit
+from navfilter.timeseries.gauss_markov import GaussMarkovFit as GaussMarkovFit
+from navfilter.timeseries.gauss_markov import correlation_product as correlation_product
+from navfilter.timeseries.gauss_markov import fit_gauss_markov as fit_gauss_markov
+from navfilter.timeseries.gauss_markov import gauss_markov_arma as gauss_markov_arma
+from navfilter.timeseries.initial_values import burg as burg
+from navfilter.timeseries.initial_values import hannan_rissanen as hannan_rissanen
+from navfilter.timeseries.initial_values import yule_walker as yule_walker
+from navfilter.timeseries.model import ArmaModel as ArmaModel
+from navfilter.timeseries.model import forecast_arma as forecast_arma
+from navfilter.timeseries.model import log_s0_sd as log_s0_sd
+from navfilter.timeseries.model import simulate_arma as simulate_arma
+from navfilter.timeseries.online.order_bank import ArmaBank as ArmaBank
+from navfilter.timeseries.online.preprocessing import FrontEnd as FrontEnd
+from navfilter.timeseries.order import OrderTable as OrderTable
+from navfilter.timeseries.periodic_motion import find_motion_band as find_motion_band
+from navfilter.timeseries.periodic_motion import subtract_motion as subtract_motion
+from navfilter.timeseries.polynomials import BiasPlusWhite as BiasPlusWhite
+from navfilter.timeseries.polynomials import add_arma as add_arma
+from navfilter.timeseries.polynomials import bias_plus_white as bias_plus_white
+from navfilter.timeseries.polynomials import resample_arma as resample_arma
+from navfilter.timeseries.polynomials import spectral_factor as spectral_factor
+from navfilter.timeseries.polynomials import split_bias as split_bias
+from navfilter.timeseries.roots import is_stable as is_stable
