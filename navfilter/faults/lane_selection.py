@@ -219,22 +219,21 @@ class LaneChoice:
         memory.ahead = np.maximum(memory.ahead + newest - newest[now], 0.0)
         calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > settings.ALONE).any()
         calm &= memory.carried[now] == 0.0
-        if calm and not (memory.ahead > settings.LANE_MARGIN).any():
+        if calm and self._inertial[now] and not (memory.ahead > settings.LANE_MARGIN).any():
             return False
         newest_first = (memory.step - np.arange(STEPS)) % STEPS
         gains = np.cumsum(memory.ring[newest_first, :, :, GAIN], axis=0)
         more = gains.sum(axis=2)
         more -= more[:, now : now + 1]
         memory.ahead = np.maximum(more.max(axis=0), 0.0)
-        sound = (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / settings.LANE_STEP_S)
+        proven = memory.step - memory.begun >= PROBATION_S / settings.LANE_STEP_S
+        sound = (memory.doubted == 0.0) & proven
         # a unit that is stood in for follows the sensors as the lane without one does, and is taken as that is
         felt = self._inertial & (memory.carried == 0.0)
         better = (more > settings.LANE_MARGIN).any(axis=0)
         if memory.carried[now]:  # what is lost without a unit, no reading need tell: one that feels is worth more
             better |= more[-1] > 0.0
-        # of no sensor may it have foretold less, of late either
-        against = (gains < gains[:, now : now + 1] - settings.SECOND).any(axis=(0, 2))
-        ready = felt & sound & better & ~(against & (not self._inertial[now]))
+        ready = felt & sound & better if self._inertial[now] else felt & proven & self._may_return(gains, now)
         best = now if not ready.any() else int(np.argmax(np.where(ready, more.max(axis=0), -math.inf)))
         span, beside = int(np.argmax(more[:, best])), np.zeros((2, len(self.names)))
         for lane in np.flatnonzero(~felt & (sound | ~self._inertial)).tolist():
@@ -251,6 +250,13 @@ class LaneChoice:
         memory.lane = best
         memory.ahead[:] = math.inf
         return True
+
+    def _may_return(self, gains: Array, now: int) -> NDArray[np.bool_]:
+        """Which lanes may take the place of one without a unit: they have foretold more than it in the last minute, and
+        of no sensor less, of late either.
+        """
+        each = gains - gains[:, now : now + 1]
+        return np.asarray((each >= -settings.SECOND).all(axis=(0, 2)) & (each[-1].sum(axis=1) > 0.0))
 
     def _run_away(self, lane: int, other: int) -> Array:
         """By how much a lane has moved off from each sensor [m/s], where it is more than the vehicle may, and the other

@@ -144,7 +144,8 @@ class FaultMonitor:
         elif dof and math.isfinite(nis):
             let_in = yield from policy.rejected(filter, channel, time_s, nis, int(dof), worthless)
             since_s = channel.faults.rejected_since_s
-            if filter.inertial and time_s - since_s >= settings.REFUSED_S:
+            # what the unit itself feels is no evidence against it
+            if filter.inertial and not channel.sensor.from_drive and time_s - since_s >= settings.REFUSED_S:
                 yield Announce(UnitDoubted(since_s - channel.period_s))
         self.has_pending = bool(self.changes or self.is_tilted)
         return let_in, described

@@ -6,7 +6,7 @@ whatever the unit says. Both are given the same inputs, and how likely each made
 which of them is the run (`navfilter.faults.lane_selection`). The run without a unit tries it again in the same way: the
 filter beside it then uses the unit, from the present state, its biases opened by what the vehicle may do unseen.
 
-The second filter costs as much as the first, and is there only while something is in doubt.
+The second filter is there only while something is in doubt: nothing is taken by kernels in stretches meanwhile.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class AlternativeMemory:
     lane : int
         What the run is.
     refused_s : float
-        When the run has last refused a reading [s].
+        When a sensor has contradicted the run last [s].
     confirmed : ndarray, shape (sensors,)
         1: the sensor was right for long before.
     settles : bool
@@ -86,9 +86,11 @@ class Alternative:
 
     def __init__(self, main: Filter, vehicle: Vehicle, wanted: bool = True) -> None:
         self._main, self._vehicle, self._made, self.is_alive = main, vehicle, False, False
+        self.wanted = wanted
         self._filter: Filter
         self._choice: LaneChoice
         self._lane, self._refused_s, self._settles = WITH_UNIT, math.nan, False
+        self._rows: Array | None = None
         told = {sensor.observes.corrects for sensor in vehicle.sensors.values()}
         self._carries = wanted and vehicle.drive.inertial and not told.isdisjoint({"velocity", "position"})
         self._heads = any(sensor.observes.north is not None for sensor in vehicle.sensors.values())
@@ -129,6 +131,8 @@ class Alternative:
         found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
         if not found and not {memory.lane, memory.choice.lane} <= {WITH_UNIT, WITHOUT}:
             found = "memory.alternative.lane is none"
+        if not found and not (abs(memory.choice.step) < 2**53 and math.isfinite(memory.refused_s)):
+            found = "memory.alternative has a time that is none"
         return found
 
     def begin(self, since_s: float, told: bool = False) -> None:
@@ -152,12 +156,14 @@ class Alternative:
             axes[:, imu_checks.CODE], axes[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, self._main.time_s - since_s
             self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
             self.is_alive = True
+        self._refused_s = self._main.time_s
         if told and self._heads:  # else it may as well be the tilt, and nothing keeps the heading
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = WITHOUT, 1.0
 
     def _take_state(self) -> None:
         """Stand where the run stands, with the errors of the unit as at the start and no reading refused."""
         given = copied(self._main.memory)
+        self._filter.begin(dict(given.models))  # nothing is left of an earlier life
         memory = transplant(self._main, self._filter).memory
         memory.sample_s, memory.drv, memory.recent, memory.intake = (
             *(given.sample_s, given.drv, given.recent, given.intake),
@@ -168,13 +174,25 @@ class Alternative:
         self._filter.restore(memory)
 
     def adopt(self, change: Change) -> None:
-        """The run has put another error model in force."""
-        if self.is_alive:
-            self._filter.adopt(change, _ignore)
+        """The run has put another error model in force, perhaps in the middle of a block of samples."""
+        if not self.is_alive:
+            return
+        rows, now_s = self._rows, self._main.memory.time_s
+        if rows is not None:
+            taken = int(np.count_nonzero(rows[:, 0] + self._main.memory.intake.offset_s <= now_s))
+            self._filter.propagate(rows[:taken], _ignore)
+            self._rows = rows[taken:]
+        self._filter.adopt(change, _ignore)
 
-    def propagate(self, samples: Array) -> None:
-        """Take samples that the run takes, too; the array is used as work space."""
-        self._filter.propagate(samples, _ignore)
+    def expect(self, samples: Array) -> None:
+        """The run is about to take samples; the array is left as it is."""
+        self._rows = samples.copy() if self.is_alive else None
+
+    def propagate(self) -> None:
+        """Take what was expected, as the run has."""
+        rows, self._rows = self._rows, None
+        if rows is not None:
+            self._filter.propagate(rows, _ignore)
 
     def correct(self, reading: Measurement, correction: Correction, tell: Listening) -> None:
         """Take a reading that the run has just taken, and see which of the two is to go on.
@@ -202,23 +220,15 @@ class Alternative:
                 self._choice.compare(which, number, reading.time_s, *foretold, lost)
         if self._choice.memory.lane != lane:
             self._change_places(tell)
-        elif lane == WITHOUT and self._is_due():
+        elif lane == WITHOUT and self._tried_s() >= settings.WINDOW_S + ANEW_S:  # it has not shown itself in time
             self._take_state()
             self._use_unit()
             self._choice.on_restart(WITH_UNIT)
             self._settles = True
         elif self._settles and self._tried_s() >= SETTLES_S:
             self._stand_where_the_run_is()
-        if correction.outcome.status == "rejected":
-            self._refused_s = self._main.time_s
         if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
             self.is_alive = False
-
-    def _is_due(self) -> bool:
-        """Whether the unit is tried anew: it has failed, or has not shown itself in time."""
-        tried_s = self._tried_s()
-        failed = WITH_UNIT in self._choice.due_restarts() and tried_s >= ANEW_S
-        return failed or tried_s >= settings.WINDOW_S + ANEW_S
 
     def _tried_s(self) -> float:
         """How long ago the second filter began to use the unit [s]."""

@@ -194,7 +194,7 @@ def _begun(of: Run, learning: LearningMemory, again: RerunRequest, until_s: floa
     """A twin of a run that has begun again."""
     history_s = 0.0 if of.history is None else of.history.length_s
     kind: Any = type(of)
-    twin: Run = kind(of.vehicle, of.start, history_s=history_s, threads=False)
+    twin: Run = kind(of.vehicle, of.start, history_s=history_s, threads=False, alternative=of.alternative.wanted)
     for name, memory in learning.listeners.items():
         memory.ring = np.full_like(memory.ring, np.nan)
         if name not in twin.learning.listeners:

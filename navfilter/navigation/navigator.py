@@ -290,10 +290,9 @@ class Navigator(NavigatorStatus):
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
         if isinstance(item, np.ndarray):
             self.learning.buffer_input(item)
-            again = item.copy() if self.alternative.is_alive else None
+            self.alternative.expect(item)
             self.filter.propagate(item, self.on_event, self._room)
-            if again is not None:
-                self.alternative.propagate(again)
+            self.alternative.propagate()
             self.change_count += bool(self.filter.memory.monitor.silent)
             return None
         if self.learning.beginning is not None:
@@ -461,7 +460,7 @@ class Navigator(NavigatorStatus):
         saved = snapshots.read(vehicle, source, (NavigatorMemory, MonitorMemory))
         try:
             return cls._resumed(vehicle, saved)
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
             raise snapshots.unreadable(error) from error
 
     @classmethod
