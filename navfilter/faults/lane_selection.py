@@ -100,6 +100,8 @@ class LaneChoice:
     ----------
     alone : ndarray, shape (sensors,)
         1: this velocity may tell by itself that a unit is wrong; elsewhere two sensors do.
+    probation_s : float
+        A lane that has begun anew is not taken before so many seconds.
     told : callable, optional
         Called after each comparison.
     """
@@ -114,7 +116,7 @@ class LaneChoice:
         self._inertial, self._force_sd = np.array(inertial), force_sd
         self.told: Callable[[], None] | None = None
         self.names = [name for name, sensor in sensors.items() if not sensor.from_drive]
-        self.alone = np.ones(len(self.names))
+        self.alone, self.probation_s = np.ones(len(self.names)), PROBATION_S
         self._velocity = [i for i, name in enumerate(self.names) if sensors[name].observes.corrects == "velocity"]
         self._sd = [_sds(sensors[name]) for name in self.names]
         shape = len(inertial), len(self.names), 4
@@ -226,7 +228,7 @@ class LaneChoice:
         more = gains.sum(axis=2)
         more -= more[:, now : now + 1]
         memory.ahead = np.maximum(more.max(axis=0), 0.0)
-        proven = memory.step - memory.begun >= PROBATION_S / settings.LANE_STEP_S
+        proven = memory.step - memory.begun >= self.probation_s / settings.LANE_STEP_S
         sound = (memory.doubted == 0.0) & proven
         # a unit that is stood in for follows the sensors as the lane without one does, and is taken as that is
         felt = self._inertial & (memory.carried == 0.0)

@@ -57,6 +57,8 @@ class AlternativeMemory:
         1: the sensor was right for long before.
     settles : bool
         The second filter has begun to use the unit, and still finds its biases.
+    probation_s : float
+        So long the unit has to show itself [s]: twice as long after each time that it has failed again.
     """
 
     filter: FilterMemory
@@ -65,6 +67,7 @@ class AlternativeMemory:
     refused_s: float
     confirmed: Array
     settles: bool
+    probation_s: float
 
 
 class Alternative:
@@ -101,7 +104,8 @@ class Alternative:
         if not self.is_alive:
             return None
         own, choice = self._filter.memory, self._choice
-        return AlternativeMemory(own, choice.memory, self._lane, self._refused_s, choice.alone, self._settles)
+        now = self._lane, self._refused_s, choice.alone, self._settles, choice.probation_s
+        return AlternativeMemory(own, choice.memory, *now)
 
     @memory.setter
     def memory(self, memory: AlternativeMemory | None) -> None:
@@ -109,6 +113,7 @@ class Alternative:
         if memory is not None:
             self._filter.restore(memory.filter)
             self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
+            self._choice.probation_s = memory.probation_s
             self._lane, self._refused_s, self._settles = memory.lane, memory.refused_s, memory.settles
 
     def prepare(self, models: tuple[tuple[str, Errors], ...] = ()) -> None:
@@ -220,7 +225,7 @@ class Alternative:
                 self._choice.compare(which, number, reading.time_s, *foretold, lost)
         if self._choice.memory.lane != lane:
             self._change_places(tell)
-        elif lane == WITHOUT and self._tried_s() >= settings.WINDOW_S + ANEW_S:  # it has not shown itself in time
+        elif lane == WITHOUT and self._tried_s() >= self._choice.probation_s + ANEW_S:  # it has not shown itself
             self._take_state()
             self._use_unit()
             self._choice.on_restart(WITH_UNIT)
@@ -265,7 +270,9 @@ class Alternative:
     def _change_places(self, tell: Listening) -> None:
         """Let the run go on as the second filter, and that as the run."""
         self._filter.apply(Fold(), _ignore)
-        self._lane, self._settles = 1 - self._lane, False
+        self._lane, self._settles, self._refused_s = 1 - self._lane, False, self._main.time_s
+        if self._lane == WITHOUT and self._choice.memory.begun[WITH_UNIT] > -math.inf:
+            self._choice.probation_s *= 2.0
         given, before = copied(self._filter.memory), copied(self._main.memory)
         self._main.become(given, tell)
         self._filter.restore(before)
