@@ -217,7 +217,8 @@ class Alternative:
         number, lane = self._numbers.get(reading.name), self._lane
         self._choice.decide_until(self._main.time_s)
         for filter, which, said in ((self._main, lane, correction), (own, 1 - lane, answer)):
-            if number is not None and said.outcome.dof:
+            # a value that comes again, to the bit, says nothing new, and is easily foretold
+            if number is not None and said.outcome.dof and not (reading.same or reading.frozen):
                 note = filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
                 foretold = note[3 : 3 + axes].tolist(), note[3 + axes :].tolist()
