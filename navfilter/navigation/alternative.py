@@ -227,10 +227,7 @@ class Alternative:
         if self._choice.memory.lane != lane:
             self._change_places(tell)
         elif lane == WITHOUT and self._tried_s() >= self._choice.probation_s + ANEW_S:  # it has not shown itself
-            self._take_state()
-            self._use_unit()
-            self._choice.on_restart(WITH_UNIT)
-            self._settles = True
+            self._try_unit()
         elif self._settles and self._tried_s() >= SETTLES_S:
             self._stand_where_the_run_is()
         if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
@@ -276,7 +273,17 @@ class Alternative:
             self._choice.probation_s *= 2.0
         given, before = copied(self._filter.memory), copied(self._main.memory)
         self._main.become(given, tell)
-        self._filter.restore(before)
+        if self._lane == WITHOUT:
+            self._try_unit()
+        else:
+            self._filter.restore(before)
+
+    def _try_unit(self) -> None:
+        """Let the second filter begin anew from the run, with the unit."""
+        self._take_state()
+        self._use_unit()
+        self._choice.on_restart(WITH_UNIT)
+        self._settles = True
 
 
 def _ignore(event: Event) -> None:
