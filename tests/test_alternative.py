@@ -98,6 +98,15 @@ def test_a_sensor_that_is_wrong_accuses_no_unit(dive, sensor, name, change, begi
     assert track.counts["contradicted"] == 0
 
 
+def test_a_mirrored_dvl_accuses_the_unit_in_a_turn_and_is_found_out(dive):
+    """A limit: its residuals grow from nothing there, as a force makes them. The unit is used again."""
+    vehicle, mission, clean = dive
+    track = nf.replay(vehicle, spoiled(mission, lambda v: v * [1.0, -1.0, 1.0], "dvl", TURN_S), output_rate_hz=1.0)
+    assert track.counts["contradicted"] == 6 and [condition for *_, condition in track.axes[-6:]] == ["good"] * 6
+    errors = track.errors(mission.truth).horizontal
+    assert np.nanmax(errors) < 6.0 + np.nanmax(clean.errors(mission.truth).horizontal)
+
+
 def test_a_dvl_that_is_let_in_now_and_then_on_a_slow_ramp_has_not_jumped():
     """Exchanged accelerometers feel a level vehicle's bias and trim on the wrong axis: the ramp is slow at first."""
     fixes = {"gps": Faults(available=((0.0, 140.0),))}

@@ -153,6 +153,9 @@ WINDOW_S = 60.0
 #: A component is an outlier in so many of one [1], anywhere within so many standard deviations of its sensor [1].
 #: (chosen)
 OUTLIERS, SPAN = 0.01, 100.0
+#: Biases of a unit that is tried again are found within so long [s], and it has so many times as long to show itself
+#: after each time that it has failed again [1]. (chosen)
+SETTLES_S, LONGER = 15.0, 2.0
 #: Another lane is taken when it has gained so much more [nat]: two sound units of one kind differ by less than 10 in a
 #: minute, a frozen one loses 100 in a second. (chosen)
 LANE_MARGIN = 50.0

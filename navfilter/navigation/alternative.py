@@ -33,8 +33,6 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.state_transfer import transplant
 
 Array = NDArray[np.float64]
-#: Biases of a unit that is tried again are found within so long [s]: a quarter of the time that it is judged by.
-SETTLES_S = 0.25 * settings.WINDOW_S
 #: The filter that uses the unit, and the one that does not, as `LaneChoice` numbers them.
 WITH_UNIT, WITHOUT = 0, 1
 
@@ -116,12 +114,11 @@ class Alternative:
             self._choice.probation_s = memory.probation_s
             self._lane, self._refused_s, self._settles = memory.lane, memory.refused_s, memory.settles
 
-    def prepare(self, models: tuple[tuple[str, Errors], ...] = ()) -> None:
-        """Make the second filter, where there is none yet, with these models in force at its start."""
+    def prepare(self, models: tuple[tuple[str, Errors], ...]) -> None:
+        """Let the second filter stand at the start with these models in force: nothing is left of an earlier life."""
         if not self._made:
             self._made, self._filter = True, Filter(self._vehicle, self._main.start, FaultMonitor(self._vehicle))
-        if models:
-            self._filter.begin(dict(models))
+        self._filter.begin(dict(models))
         sensors = {name: sensor for name, sensor in self._vehicle.sensors.items() if not sensor.lead_s}
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
         self._choice = LaneChoice([True, False], sensors, self._main.time_s, force_sd)
@@ -152,7 +149,7 @@ class Alternative:
         if not self._carries or self._main.memory.monitor.has_excluded:
             return
         if not self.is_alive:
-            self.prepare()
+            self.prepare(self._main.memory.models)
             right = [was_right(self._main, self._main.channels[name]) for name in self._choice.names]
             self._choice.alone = np.array(right, dtype=np.float64)
             self._take_state()
@@ -168,7 +165,6 @@ class Alternative:
     def _take_state(self) -> None:
         """Stand where the run stands, with the errors of the unit as at the start and no reading refused."""
         given = copied(self._main.memory)
-        self._filter.begin(dict(given.models))  # nothing is left of an earlier life
         memory = transplant(self._main, self._filter).memory
         memory.sample_s, memory.drv, memory.recent, memory.intake = (
             *(given.sample_s, given.drv, given.recent, given.intake),
@@ -228,7 +224,7 @@ class Alternative:
             self._change_places(tell)
         elif lane == WITHOUT and self._tried_s() >= self._choice.probation_s + ANEW_S:  # it has not shown itself
             self._try_unit()
-        elif self._settles and self._tried_s() >= SETTLES_S:
+        elif self._settles and self._tried_s() >= settings.SETTLES_S:
             self._stand_where_the_run_is()
         if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
             self.is_alive = False
@@ -251,26 +247,12 @@ class Alternative:
         self._settles = False
         self._choice.on_restart(WITH_UNIT)  # it is judged from now on
 
-    def _use_unit(self) -> None:
-        """Let the second filter use the axes that were left out because they were in doubt."""
-        monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
-        axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
-        out = axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED
-        axes[out, imu_checks.CODE] = imu_checks.GOOD
-        self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
-        drive, group = self._vehicle.drive, self._filter.layout.drive
-        unknown = np.repeat([drive.gap_rate_sd, drive.gap_force_sd], 3)  # type: ignore[attr-defined]
-        for places, sd in zip(group.biases, unknown.tolist(), strict=True):
-            for place in group.start + places[:1]:
-                self._filter.apply(Inflate(place, place, sd**2), _ignore)
-        self._filter.set_imu_noise()
-
     def _change_places(self, tell: Listening) -> None:
         """Let the run go on as the second filter, and that as the run."""
         self._filter.apply(Fold(), _ignore)
         self._lane, self._settles, self._refused_s = 1 - self._lane, False, self._main.time_s
         if self._lane == WITHOUT and self._choice.memory.begun[WITH_UNIT] > -math.inf:
-            self._choice.probation_s *= 2.0
+            self._choice.probation_s *= settings.LONGER
         given, before = copied(self._filter.memory), copied(self._main.memory)
         self._main.become(given, tell)
         if self._lane == WITHOUT:
@@ -279,9 +261,18 @@ class Alternative:
             self._filter.restore(before)
 
     def _try_unit(self) -> None:
-        """Let the second filter begin anew from the run, with the unit."""
+        """Let the second filter begin anew from the run, with the unit, whose biases may be what was wrong."""
+        self._filter.begin(dict(self._main.memory.models))
         self._take_state()
-        self._use_unit()
+        own, drive = self._filter, self._vehicle.drive
+        monitor: FaultMonitor = own.monitor  # type: ignore[assignment]
+        axes = own.memory.monitor.imu[: imu_checks.UNIT]
+        axes[axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED, imu_checks.CODE] = imu_checks.GOOD
+        own.act(monitor.imu_monitor.heed(own), _ignore)
+        unknown = np.repeat([drive.gap_rate_sd, drive.gap_force_sd], 3)  # type: ignore[attr-defined]
+        for places, sd in zip(own.layout.drive.biases, unknown.tolist(), strict=True):
+            first = own.layout.drive.start + places[:1]
+            own.apply(Inflate(first, first, sd**2), _ignore)
         self._choice.on_restart(WITH_UNIT)
         self._settles = True
 

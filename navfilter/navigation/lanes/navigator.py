@@ -107,8 +107,10 @@ class LaneNavigator(NavigatorStatus):
         length_s = usual_s if history_s is None else float(history_s)
         if not 0.0 <= length_s <= usual_s:
             raise ValueError(f"history_s of a vehicle with lanes must be 0 to {usual_s:g}, found {history_s!r}.")
-        as_lanes = {"history_s": 0.0, "threads": False, "alternative": False}
-        self.lanes = {name: Navigator(lane, start, **as_lanes) for name, lane in described.items()}  # type: ignore[arg-type]
+        self.lanes = {
+            name: Navigator(lane, start, history_s=0.0, threads=False, alternative=False)
+            for name, lane in described.items()
+        }
         for run in self.lanes.values():
             # a unit whose clock goes wrong is left for another
             run.clock = ImuClockMonitor(run.vehicle.drive.period_s, live=False)
