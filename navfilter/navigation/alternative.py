@@ -57,6 +57,8 @@ class AlternativeMemory:
         The second filter has begun to use the unit, and still finds its biases.
     probation_s : float
         So long the unit has to show itself [s]: twice as long after each time that it has failed again.
+    patience_s : float
+        A trial that fails is given up after so long [s]: twice as long each time.
     """
 
     filter: FilterMemory
@@ -66,6 +68,7 @@ class AlternativeMemory:
     confirmed: Array
     settles: bool
     probation_s: float
+    patience_s: float
 
 
 class Alternative:
@@ -90,11 +93,12 @@ class Alternative:
         self.wanted = wanted
         self._filter: Filter
         self._choice: LaneChoice
-        self._lane, self._refused_s, self._settles = WITH_UNIT, math.nan, False
+        self._lane, self._refused_s, self._settles, self._patience_s = WITH_UNIT, math.nan, False, ANEW_S
         self._rows: Array | None = None
-        told = {sensor.observes.corrects for sensor in vehicle.sensors.values()}
-        self._carries = wanted and vehicle.drive.inertial and not told.isdisjoint({"velocity", "position"})
-        self._heads = any(sensor.observes.north is not None for sensor in vehicle.sensors.values())
+        told = [sensor.observes for sensor in vehicle.sensors.values()]
+        # without a compass nothing but the unit keeps the heading: what is lost then does not come back
+        self._carries = wanted and vehicle.drive.inertial and any(observes.north is not None for observes in told)
+        self._carries = self._carries and any(observes.corrects in ("velocity", "position") for observes in told)
 
     @property
     def memory(self) -> AlternativeMemory | None:
@@ -102,7 +106,7 @@ class Alternative:
         if not self.is_alive:
             return None
         own, choice = self._filter.memory, self._choice
-        now = self._lane, self._refused_s, choice.alone, self._settles, choice.probation_s
+        now = self._lane, self._refused_s, choice.alone, self._settles, choice.probation_s, self._patience_s
         return AlternativeMemory(own, choice.memory, *now)
 
     @memory.setter
@@ -111,7 +115,7 @@ class Alternative:
         if memory is not None:
             self._filter.restore(memory.filter)
             self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
-            self._choice.probation_s = memory.probation_s
+            self._choice.probation_s, self._patience_s = memory.probation_s, memory.patience_s
             self._lane, self._refused_s, self._settles = memory.lane, memory.refused_s, memory.settles
 
     def prepare(self, models: tuple[tuple[str, Errors], ...]) -> None:
@@ -124,6 +128,7 @@ class Alternative:
         self._choice = LaneChoice([True, False], sensors, self._main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
         self._lane, self._refused_s, self._settles = WITH_UNIT, self._main.time_s, False
+        self._patience_s = ANEW_S
 
     def problem(self, memory: AlternativeMemory) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
@@ -159,7 +164,7 @@ class Alternative:
             self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
             self.is_alive = True
         self._refused_s = self._main.time_s
-        if told and self._heads:  # else it may as well be the tilt, and nothing keeps the heading
+        if told:
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = WITHOUT, 1.0
 
     def _take_state(self) -> None:
@@ -222,12 +227,19 @@ class Alternative:
                 self._choice.compare(which, number, reading.time_s, *foretold, lost)
         if self._choice.memory.lane != lane:
             self._change_places(tell)
-        elif lane == WITHOUT and self._tried_s() >= self._choice.probation_s + ANEW_S:  # it has not shown itself
+        elif lane == WITHOUT and self._is_given_up():
+            self._patience_s *= settings.LONGER
             self._try_unit()
         elif self._settles and self._tried_s() >= settings.SETTLES_S:
             self._stand_where_the_run_is()
         if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
             self.is_alive = False
+
+    def _is_given_up(self) -> bool:
+        """Whether a trial of the unit has failed, or has not shown itself in time."""
+        longest_s = self._choice.probation_s + ANEW_S
+        failed = WITH_UNIT in self._choice.due_restarts()
+        return self._tried_s() >= (min(self._patience_s, longest_s) if failed else longest_s)
 
     def _tried_s(self) -> float:
         """How long ago the second filter began to use the unit [s]."""
@@ -255,16 +267,17 @@ class Alternative:
             self._choice.probation_s *= settings.LONGER
         given, before = copied(self._filter.memory), copied(self._main.memory)
         self._main.become(given, tell)
-        if self._lane == WITHOUT:
-            self._try_unit()
-        else:
+        if self._lane == WITH_UNIT:
             self._filter.restore(before)
+            return
+        self._patience_s = ANEW_S
+        self._try_unit()
 
     def _try_unit(self) -> None:
         """Let the second filter begin anew from the run, with the unit, whose biases may be what was wrong."""
-        self._filter.begin(dict(self._main.memory.models))
-        self._take_state()
         own, drive = self._filter, self._vehicle.drive
+        own.begin(dict(self._main.memory.models))
+        self._take_state()
         monitor: FaultMonitor = own.monitor  # type: ignore[assignment]
         axes = own.memory.monitor.imu[: imu_checks.UNIT]
         axes[axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED, imu_checks.CODE] = imu_checks.GOOD
