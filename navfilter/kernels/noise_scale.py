@@ -27,6 +27,8 @@ APART = 3.0
 # The square of a second difference of white noise is so many times its variance [1]; of a random walk, twice that of a
 # step.
 WHITE, STEP = 6.0, 2.0
+# A variance that is less, as a share of what it was before others were taken off, is rounding [1].
+ROUNDED = 1e-12
 # No variance that is divided by is less, in the square of any unit [1].
 LEAST_VARIANCE = 1e-300
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
@@ -136,7 +138,7 @@ def _by_description(mem, S, note, excess, work):
             continue
         rest = note[3 + i]
         for j in range(i + 1):
-            if math.isnan(y[j]):
+            if j < i and math.isnan(y[j]):  # its own stands there from before
                 continue
             left = mem[S + i * a + j] - (excess[i] if i == j else 0.0)
             for k in range(j):
@@ -145,10 +147,12 @@ def _by_description(mem, S, note, excess, work):
             if j < i:
                 L[i, j] = left / L[j, j]
                 rest -= L[i, j] * y[j]
-            else:
+            elif left > ROUNDED * mem[S + i * a + i]:
                 L[i, i] = math.sqrt(left)
+            else:
+                rest, L[i, i] = math.nan, 1.0  # what the others of the reading tell to the last digit says nothing
         y[i] = rest / L[i, i]
-        nis += y[i] * y[i]
+        nis += y[i] * y[i] if not math.isnan(y[i]) else 0.0
     return nis
 
 
