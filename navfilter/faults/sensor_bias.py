@@ -350,8 +350,8 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
 
 
 def is_none(channel: Channel, x: Array, P: Array) -> bool:
-    """Whether the constants of a sensor that has jumped are told to be none: each, and what they make of a reading, is
-    zero within `CHANCE` of its standard deviations, and the latter is known as well as two readings may differ anyway.
+    """Whether the constants of a sensor that has jumped are rather none: their density at zero is more than it was when
+    they were put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971).
 
     Parameters
     ----------
@@ -361,13 +361,10 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
     P : ndarray, shape (n, n)
         Covariance.
     """
-    places = offset_places(channel)
-    if not (x[places - 9] ** 2 <= settings.CHANCE**2 * P[places, places]).all():
-        return False
-    off = channel.C[:, places - channel.group.start]
-    known = np.einsum("ij,jk,ik->i", off, P[np.ix_(places, places)], off)
-    none = np.all((off @ x[places - 9]) ** 2 <= settings.CHANCE**2 * known)
-    return bool(none and np.all(known <= np.diag(channel.R) + _usual_wander(channel)))
+    places, sds = offset_places(channel), np.sqrt(np.diag(channel.group.P0)[channel.offsets])
+    shares, axes = np.linalg.eigh(P[np.ix_(places, places)] / np.outer(sds, sds))
+    shares = np.maximum(shares, np.finfo(float).eps)  # what is left of each variance
+    return bool(-np.log(shares).sum() > ((axes.T @ (x[places - 9] / sds)) ** 2 / shares).sum())
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:

@@ -106,8 +106,8 @@ WHITE = 6.0
 #: An error is quick whose second differences are larger than this share of its variance [1]: of one with a correlation
 #: time of two hundred samples they are less. (derived)
 QUICK = 0.02
-#: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
-#: (chosen)
+#: A turn goes on for longer [s]: it pushes a vehicle whose forces nobody feels, and what it would tilt one by that felt
+#: them must not pass for a tilt. (chosen)
 TURN_S = 3.0
 
 # -------------------- imu: realignment
@@ -219,9 +219,6 @@ AT_ONCE = 1.5
 HELD = 0.25
 #: A height that is off from its gauge by so many times as much as at first has gone away from it [1]. (chosen)
 OFFSET_GROWN = 3.0
-#: A constant that is off by no more of its standard deviations is zero but for chance [1]: one in three is off by
-#: more. (derived)
-CHANCE = 1.0
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1]. (chosen)
 AGAIN = 0.02
 
