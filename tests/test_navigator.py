@@ -453,9 +453,10 @@ def test_rest_is_detected_and_counts_as_zero_velocity():
 
 
 def test_gaps_leave_the_uncertainty_that_they_should():
-    # unknown forces; the velocity and the heading between two that are known, a bridge of 0.05 m/s and 0.35 rad a root s
-    bridge = math.sqrt(20.0**3 / 12.0)
-    for build, forces_m, wander, turn in ((inertial, 0.3 * 20.0**2 / 2, 0.0, 0.0), (reckoning, 0.0, 0.05, 0.35)):
+    # unknown forces, of turns of three seconds; the velocity and the heading between two that are known, a bridge of
+    # 0.05 m/s and 0.35 rad a root s
+    bridge, pushed_m = math.sqrt(20.0**3 / 12.0), 0.3 * math.sqrt(3.0 * 20.0**3 / 3.0)
+    for build, forces_m, wander, turn in ((inertial, pushed_m, 0.0, 0.0), (reckoning, 0.0, 0.05, 0.35)):
         nav = nf.Navigator(
             build(),
             dataclasses.replace(START, position_sd_m=0.1, velocity_sd_m_s=0.001, tilt_sd_deg=0.01, heading_sd_deg=0.01),

@@ -239,7 +239,7 @@ def test_a_bias_that_jumps_is_not_taken_for_a_tilt():
     wrong = mission.with_stream("imu", nf.Stream(stream.time_s, value, stream.columns)).between(0.0, 290.0)
     track = nf.replay(vehicle, wrong.hide("gps", (60.0, 1e9)), output_rate_hz=1.0)
     nees = track.nees(track.errors(mission.truth))["attitude"]
-    assert track.counts["contradicted"] == 6
+    assert track.counts["contradicted"] == 3
     assert np.nanmean(nees[track.time_s > 250.0]) < 2.0
 
 

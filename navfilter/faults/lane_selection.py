@@ -311,10 +311,11 @@ class LaneChoice:
         """Lanes that are doubted, and not in force."""
         return [lane for lane in np.flatnonzero(self.memory.doubted).tolist() if lane != self.memory.lane]
 
-    def on_restart(self, lane: int) -> None:
-        """A lane has been begun anew from the one in force: it has the same past."""
+    def on_restart(self, lane: int, of: int | None = None) -> None:
+        """A lane has been begun anew from the one in force, or from another one: it has the same past."""
         memory = self.memory
-        memory.ring[:, lane], memory.gathered[lane] = memory.ring[:, memory.lane], memory.gathered[memory.lane]
+        of = memory.lane if of is None else of
+        memory.ring[:, lane], memory.gathered[lane] = memory.ring[:, of], memory.gathered[of]
         memory.begun[lane], memory.doubted[lane] = memory.step, 0.0
         memory.away[lane], memory.ahead[lane] = math.nan, math.inf
 

@@ -146,7 +146,7 @@ class FaultMonitor:
             since_s = channel.faults.rejected_since_s
             # what the unit itself feels is no evidence against it
             if filter.inertial and not channel.sensor.from_drive and time_s - since_s >= settings.REFUSED_S:
-                yield Announce(UnitDoubted(since_s - channel.period_s))
+                yield Announce(UnitDoubted(since_s - channel.period_s, channel.sensor.observes.corrects))
         self.has_pending = bool(self.changes or self.is_tilted)
         return let_in, described
 
@@ -162,9 +162,9 @@ class FaultMonitor:
         """By how much samples are to differ from one to the next, shape (6,)."""
         return self.imu_monitor.expected(drive, white)
 
-    def set_imu_noise(self, memory: MonitorMemory, C: Array, r: Array, output: Array) -> None:
-        """Write the error models of the axes as they are believed now to `output`."""
-        self.imu_monitor.set_imu_noise(memory.imu, C, r, output)
+    def set_imu_noise(self, memory: MonitorMemory, C: Array, r: Array, output: Array) -> bool:
+        """Write the error models of the axes as they are believed now to `output`; whether any force is felt."""
+        return self.imu_monitor.set_imu_noise(memory.imu, C, r, output)
 
     def rate_variance(self, memory: MonitorMemory, r: Array) -> Array:
         """Variance of the angular rate as it is used for lever arms, shape (3,)."""

@@ -140,7 +140,7 @@ def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> A
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
     yield Inflate(range(6, 8), range(6, 8), (force / STANDARD_GRAVITY) ** 2)
     filter.monitor.is_tilted = True
-    yield Announce(UnitDoubted(channel.faults.rejected_since_s - channel.period_s, told=True))
+    yield Announce(UnitDoubted(channel.faults.rejected_since_s - channel.period_s, "velocity", told=True))
     return False
 
 
@@ -230,6 +230,11 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
     if depth_fault.undecided(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
         return False
+    refused = channel.faults.refused
+    if refused is not None and (refused.odd or refused.count == 1):  # they contradict each other: the state need not be
+        channel.R += reading.nis * channel.S[: channel.axes]
+        yield from _readmit(filter, channel, time_s)
+        return True
     channel.R *= added.white_factor
     yield Inflate(added.places, added.places, added.covariance)
     if channel.moves:

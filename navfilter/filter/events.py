@@ -90,9 +90,12 @@ class StateTransformed(NamedTuple):
 
 
 class UnitDoubted(NamedTuple):
-    """A sensor has contradicted the state on end since a time [s]: what drives it may be wrong; `told`: it is."""
+    """A sensor has contradicted the state on end since a time [s]: what drives it may be wrong; `told`: it is.
+    `corrects`: see `navfilter.models.sensors.observable.Observable`.
+    """
 
     since_s: float
+    corrects: str
     told: bool = False
 
 

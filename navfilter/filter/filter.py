@@ -172,8 +172,9 @@ class Filter:
     def set_imu_noise(self) -> None:
         """Believe the drive's axes as far as the monitor says."""
         g, remembered = self.layout.drive, self.memory.monitor
-        self.monitor.set_imu_noise(remembered, g.C, g.r, self.drive_output)
+        felt = self.monitor.set_imu_noise(remembered, g.C, g.r, self.drive_output)
         if self.inertial:
+            self.memory.drv[strapdown.INERTIAL] = strapdown.FELT if felt else strapdown.UNFELT
             variance = self.monitor.rate_variance(remembered, g.r)
             for channel in self.channels.values():
                 channel.set_rate_variance(variance)
@@ -309,7 +310,7 @@ class Filter:
     def _fold(self) -> Propagated:
         """Fold the compound transition into P."""
         memory = self.memory
-        if self.inertial:
+        if memory.drv[strapdown.INERTIAL] == strapdown.FELT:
             consistency.attitude_second_order(
                 memory.P, memory.acc, memory.nav, memory.drv[strapdown.OWN], self._work.reshape(-1)
             )
@@ -622,7 +623,7 @@ class Filter:
         """Covariance of navigation (81 elements), then the variances of all other states, now; shape (72 + n,)."""
         memory, n = self.memory, self.layout.size
         out = np.empty(72 + n)
-        inertial, work = memory.drv[strapdown.INERTIAL] != 0.0, np.empty(9 * (n + self.layout.head + 9))
+        inertial, work = memory.drv[strapdown.INERTIAL] == strapdown.FELT, np.empty(9 * (n + self.layout.head + 9))
         kalman.present(memory.P, memory.acc, memory.nav, inertial, memory.drv[strapdown.OWN], work, out)
         return out
 

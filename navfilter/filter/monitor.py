@@ -151,8 +151,10 @@ class Monitor(Protocol):
     def sample_sd(self, drive: Mechanisation, white: Array) -> Array:
         """By how much samples are to differ from one to the next, shape (6,)."""
 
-    def set_imu_noise(self, memory: Any, C: Array, r: Array, output: Array) -> None:
-        """Write the error models of the axes as they are believed now to `output` (6, k + 1)."""
+    def set_imu_noise(self, memory: Any, C: Array, r: Array, output: Array) -> bool:
+        """Write the error models of the axes as they are believed now to `output` (6, k + 1); whether any force is
+        felt.
+        """
 
     def rate_variance(self, memory: Any, r: Array) -> Array:
         """Variance of the angular rate as it is used for lever arms, shape (3,)."""

@@ -234,7 +234,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     mem = bench[spot[MEM] : spot[CONSTANTS]]
     model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
     places = kalman.memory_offsets(dims)
-    if drv[strapdown.INERTIAL] != 0.0:
+    if drv[strapdown.INERTIAL] == strapdown.FELT:
         consistency.attitude_second_order(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
     if not spot[UNHEARD]:
         kalman.store_transition(acc, mem)
@@ -419,6 +419,9 @@ def gravity_is_due(w, nav, P, period_s):
             unit[imu_checks.REFERENCE + i] = -g * nav[12 + i]
         unit[imu_checks.GRAVITY] = g
         unit[imu_checks.SURE] = 1.0 if P[6, 6] + P[7, 7] < imu_checks.LEVEL_SD**2 else 0.0
+        if unit[imu_checks.SURE] != 0.0:
+            for i in range(2):
+                unit[imu_checks.TILTED + i] = max(unit[imu_checks.TILTED + i], abs(nav[13 - i]))
     return True
 
 
@@ -455,7 +458,7 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
     every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
     head, felt, each = work[: m * m], int(settings[FELT]), trace.shape[0] > 0
     xd, interval_s = x[: m - 9], settings[INTERVAL_S]
-    inertial, own = drv[strapdown.INERTIAL] != 0.0, drv[strapdown.OWN]
+    inertial, own = drv[strapdown.INERTIAL] == strapdown.FELT, drv[strapdown.OWN]
     while begin < total:
         if not _has_room(cursor, m * m, rows, records, heads):
             return FULL
@@ -814,7 +817,7 @@ def run_batch(
     """
     nav, x, P, acc = state
     drv, Phid, Qd, Cr, samples_before = drive[0], drive[1], drive[2], drive[3], drive[4]
-    known, inertial = max(0, samples_before.shape[0] - MORE_RECENT), drv[strapdown.INERTIAL] != 0.0
+    known, inertial = max(0, samples_before.shape[0] - MORE_RECENT), drv[strapdown.INERTIAL] == strapdown.FELT
     times, which, ends, good, same, values, variances, notes = given
     rows, info, records, heads, _ = out
     undone, ears, places, opened = hearing

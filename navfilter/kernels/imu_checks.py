@@ -33,9 +33,9 @@ CODE, BEGAN_S, CLEAN_S, RAW, RUN, REPEATS, QUANTUM, LAST, BEFORE, EXTREME = rang
 NOISE, USUAL, SEEN, MEAN, SPIKES, SIZE, HEEDED, WHITE, COLUMNS = range(10, 19)
 # Places in the row of the unit: samples since its attitude was asked for, whether something is to be looked at, how
 # long gravity has been off, and been close [s]; whether the reference may be judged by; the reference: specific force
-# at rest in b (3) [m/s^2]; gravity [m/s^2].
+# at rest in b (3) [m/s^2]; gravity [m/s^2]; sines of the most that the vehicle has rolled, and pitched.
 UNIT = 6
-TICK, NEWS, OFF_S, CLOSE_S, SURE, REFERENCE, GRAVITY = 0, 1, 2, 3, 4, 5, 8
+TICK, NEWS, OFF_S, CLOSE_S, SURE, REFERENCE, GRAVITY, TILTED = 0, 1, 2, 3, 4, 5, 8, 9
 
 # Conditions. Beyond `NOISY` nothing of an axis is used; from `MISPLACED` to `IN_G` it is gravity that says so. The last
 # two are set by others, and `CONTRADICTED` is ended by them, too.

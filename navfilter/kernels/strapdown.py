@@ -74,8 +74,10 @@ CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 OF_READING, BY_AXIS = np.arange(18) // 3, np.arange(18) // 9 * 3 + np.arange(18) % 3
 # Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
 CURRENT = 125
-# 1: accelerations carry the velocity, see `consistency.attitude_second_order`.
+# 0: no inertial unit. `FELT`: accelerations carry the velocity. `UNFELT`: no force of the unit is used. Nobody knows
+# what the velocity does then, but no tilt turns gravity into it.
 INERTIAL = 126
+FELT, UNFELT = 1.0, 2.0
 # Dead reckoning: the way made by its own readings, north and east [m], whatever has been corrected since; for how long
 # there has been no attitude, and no velocity [s]; for how long the three angles have been the same to the last bit, and
 # the three velocities, none of them zero [s].
@@ -342,15 +344,20 @@ def _take_errors_off(inc, xd, dt, seen, kinds, gain):
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, dt, drv, work):
     """One strapdown step by increments of which the drive's errors have been taken off; leaves the elements of its
-    transition, of second order in dt, in `work` for `_carried`.
+    transition, of second order in dt, in `work` for `_carried`. Where no force is felt it is the one at rest.
     """
     inc, f = work[:STEP], work[STEP:ROWS]
+    if drv[INERTIAL] == UNFELT:
+        for i in range(3):
+            inc[3 + i] = -gravity(nav[0], nav[2]) * dt * nav[12 + i]
     pn, pe, pd, mn, me, md, g, by_rn, by_re, sl, cl, tl = _mechanise(nav, inc, dt, drv[MEAN_C : MEAN_C + 9])
     by_cl = 1.0 / cl
     north, east, down = mn * by_rn, me * by_re, md * by_re  # the same as angles
     wn, we, wd = EARTH_RATE * cl + east, -north, -EARTH_RATE * sl - east * tl
     on, oe, od = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
     bend = EARTH_RATE * cl + east * by_cl * by_cl  # how the turn over ground changes with latitude
+    if drv[INERTIAL] == UNFELT:
+        pn = pe = pd = 0.0
     f[0], f[1], f[2], f[3], f[4], f[5], f[6] = dt, wn * dt, we * dt, wd * dt, pn, pe, pd
     # attitude by velocity and position
     f[7], f[8], f[9] = -dt * by_re, dt * by_rn, dt * tl * by_re

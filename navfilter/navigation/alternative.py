@@ -1,10 +1,12 @@
-"""A second filter beside a run while its inertial unit is in doubt: one of the two uses the unit, the other does not.
+"""A second filter beside a run while its inertial unit is in doubt: one of the two uses it, the other does without.
 
 A sensor that goes on to contradict the state may be wrong, or the state may be, for the unit that carries it is. The
-same filter without the unit (attitude and velocity are random walks, as where samples are missing) follows the sensors
-whatever the unit says. Both are given the same inputs, and how likely each made the readings of the last minute decides
-which of them is the run (`navfilter.faults.lane_selection`). The run without a unit tries it again in the same way: the
-filter beside it then uses the unit, from the present state, its biases opened by what the vehicle may do unseen.
+same filter without the accelerometers (the velocity is a random walk, no tilt turns gravity into it), and if the
+attitude is contradicted without the gyros, too, follows the sensors whatever the unit says. Both are given the same
+inputs, and how likely each made the readings of the last minute decides which of them is the run
+(`navfilter.faults.lane_selection`). The run that does without tries the unit again in the same way: the filter beside
+it then uses it, from the present state, its biases opened by what the vehicle may do unseen. Where only accelerometers
+are left out, and the attitude is contradicted, it is the gyros that the filter beside it does without meanwhile.
 
 The second filter is there only while something is in doubt: nothing is taken by kernels in stretches meanwhile.
 """
@@ -18,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import settings
+from navfilter.faults.alternative_path import followed, full_residual
 from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.faults.velocity_evidence import was_right
 from navfilter.filter.actions import Fold, Inflate
-from navfilter.filter.events import Correction, Event, Listening, Measurement
+from navfilter.filter.events import Correction, Event, Listening, Measurement, UnitDoubted
 from navfilter.filter.filter import Filter
-from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
 from navfilter.foundation.state_values import copied, misfit
 from navfilter.kernels import imu_checks
@@ -33,8 +36,11 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.state_transfer import transplant
 
 Array = NDArray[np.float64]
-#: The filter that uses the unit, and the one that does not, as `LaneChoice` numbers them.
-WITH_UNIT, WITHOUT = 0, 1
+#: The filter that uses the unit, the one without its accelerometers, and the one without any of it, as `LaneChoice`
+#: numbers them.
+WITH_UNIT, NO_FORCES, NO_UNIT = range(3)
+#: What sensors of attitude and of angular rates correct: it is the gyros that they contradict.
+TURNS = ("heading", "")
 
 
 @dataclass
@@ -47,8 +53,8 @@ class AlternativeMemory:
         Of the one that is not the run.
     choice : LaneChoiceMemory
         Its `lane` is what the run is, or is to be by the next reading.
-    lane : int
-        What the run is.
+    lane, beside : int
+        What the run is, and what the second filter is.
     refused_s : float
         When a sensor has contradicted the run last [s].
     confirmed : ndarray, shape (sensors,)
@@ -64,6 +70,7 @@ class AlternativeMemory:
     filter: FilterMemory
     choice: LaneChoiceMemory
     lane: int
+    beside: int
     refused_s: float
     confirmed: Array
     settles: bool
@@ -94,6 +101,7 @@ class Alternative:
         self._filter: Filter
         self._choice: LaneChoice
         self._lane, self._refused_s, self._settles, self._patience_s = WITH_UNIT, math.nan, False, ANEW_S
+        self._beside = NO_UNIT
         self._rows: Array | None = None
         told = [sensor.observes for sensor in vehicle.sensors.values()]
         # without a compass nothing but the unit keeps the heading: what is lost then does not come back
@@ -106,8 +114,8 @@ class Alternative:
         if not self.is_alive:
             return None
         own, choice = self._filter.memory, self._choice
-        now = self._lane, self._refused_s, choice.alone, self._settles, choice.probation_s, self._patience_s
-        return AlternativeMemory(own, choice.memory, *now)
+        now = self._lane, self._beside, self._refused_s, choice.alone, self._settles
+        return AlternativeMemory(own, choice.memory, *now, choice.probation_s, self._patience_s)
 
     @memory.setter
     def memory(self, memory: AlternativeMemory | None) -> None:
@@ -116,59 +124,94 @@ class Alternative:
             self._filter.restore(memory.filter)
             self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
             self._choice.probation_s, self._patience_s = memory.probation_s, memory.patience_s
-            self._lane, self._refused_s, self._settles = memory.lane, memory.refused_s, memory.settles
+            self._lane, self._beside = memory.lane, memory.beside
+            self._refused_s, self._settles = memory.refused_s, memory.settles
 
-    def prepare(self, models: tuple[tuple[str, Errors], ...]) -> None:
-        """Let the second filter stand at the start with these models in force: nothing is left of an earlier life."""
+    def _prepare(self) -> None:
+        """Nothing is left of an earlier life."""
         if not self._made:
             self._made, self._filter = True, Filter(self._vehicle, self._main.start, FaultMonitor(self._vehicle))
-        self._filter.begin(dict(models))
         sensors = {name: sensor for name, sensor in self._vehicle.sensors.items() if not sensor.lead_s}
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
-        self._choice = LaneChoice([True, False], sensors, self._main.time_s, force_sd)
+        self._choice = LaneChoice([True, False, False], sensors, self._main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
         self._lane, self._refused_s, self._settles = WITH_UNIT, self._main.time_s, False
-        self._patience_s = ANEW_S
+        self._beside, self._patience_s = NO_UNIT, ANEW_S
 
     def problem(self, memory: AlternativeMemory) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
-        self.prepare(memory.filter.models)
+        self._prepare()
+        self._filter.begin(dict(memory.filter.models))
         self.is_alive, own = True, self._filter
         found = misfit(memory, self.memory, "memory.alternative") or memory.filter.problem(own.memory)
         found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
-        if not found and not {memory.lane, memory.choice.lane} <= {WITH_UNIT, WITHOUT}:
+        if not found and not {memory.lane, memory.beside, memory.choice.lane} <= {WITH_UNIT, NO_FORCES, NO_UNIT}:
             found = "memory.alternative.lane is none"
         if not found and not (abs(memory.choice.step) < 2**53 and math.isfinite(memory.refused_s)):
             found = "memory.alternative has a time that is none"
         return found
 
-    def begin(self, since_s: float, told: bool = False) -> None:
-        """A sensor has contradicted the run since a time [s]: go on without the unit beside it, if anything could.
+    def begin(self, doubt: UnitDoubted, tell: Listening) -> None:
+        """A sensor has contradicted the run: go on without what it doubts of the unit beside it, if anything could.
 
         Parameters
         ----------
-        since_s : float
-        told : bool
-            What that sensor reads tells already that it is the unit: by the next reading the run does without it.
+        doubt : UnitDoubted
+            If that is `told`, the run does without the unit by the next reading.
+        tell : callable
+            Is told what happens to the run's state.
         """
-        if not self._carries or self._main.memory.monitor.has_excluded:
+        if not self._carries:
+            return
+        doubts_gyros, lane = doubt.corrects in TURNS, self._lane if self.is_alive else WITH_UNIT
+        if lane == NO_FORCES:
+            if self._beside == NO_UNIT or doubts_gyros or doubt.corrects == "depth":
+                self._refused_s = self._main.time_s
+            if self._refused_s == self._main.time_s and self._beside != NO_UNIT:
+                self._choice.memory.begun[WITH_UNIT] = math.inf
+                self._leave_out(NO_UNIT, doubt.since_s)
+            return
+        if lane == NO_UNIT or self._main.memory.monitor.has_excluded:
             return
         if not self.is_alive:
-            self.prepare(self._main.memory.models)
+            self._prepare()
             right = [was_right(self._main, self._main.channels[name]) for name in self._choice.names]
             self._choice.alone = np.array(right, dtype=np.float64)
-            self._take_state()
-            monitor: FaultMonitor = self._filter.monitor  # type: ignore[assignment]
-            axes = self._filter.memory.monitor.imu[: imu_checks.UNIT]
-            axes[:, imu_checks.CODE], axes[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, self._main.time_s - since_s
-            self._filter.act(monitor.imu_monitor.heed(self._filter), _ignore)
+            self._leave_out(NO_UNIT if doubts_gyros else NO_FORCES, doubt.since_s)
             self.is_alive = True
         self._refused_s = self._main.time_s
-        if told:
-            self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = WITHOUT, 1.0
+        if doubt.told:
+            self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = self._beside, 1.0
+
+    def _leave_out(self, lane: int, since_s: float) -> None:
+        """Let the second filter begin anew from the run, without what may have been wrong since a time [s]."""
+        own, known_s = self._filter, self._main.time_s
+        ways = {name: kept.way for name, kept in self._main.memory.monitor.channels.items() if kept.way is not None}
+        self._take_state()
+        for name, way in ways.items():
+            # if it was the unit, the way of what was refused was made, and its velocity is the vehicle's
+            channel, off = own.channels[name], full_residual(self._main, self._main.channels[name])
+            channel.faults.way = way
+            own.act(followed(own, channel), _ignore)
+            channel.faults.way = None
+            velocity = float(np.nansum(off**2))
+            own.apply(Inflate(range(2, 6), range(2, 6), np.array([way.length**2, *[velocity] * 3])), _ignore)
+        self._beside, self._settles = lane, False
+        self._exclude(slice(3, 6), known_s if ways else since_s)
+        if lane == NO_UNIT:
+            self._exclude(slice(3), since_s)
+        self._choice.on_restart(lane)
+
+    def _exclude(self, axes: slice, since_s: float) -> None:
+        """Let the second filter use axes of the unit no more, which may have been wrong since a time [s]."""
+        own = self._filter
+        found = own.memory.monitor.imu[: imu_checks.UNIT][axes]
+        found[:, imu_checks.CODE], found[:, imu_checks.BEGAN_S] = imu_checks.CONTRADICTED, own.time_s - since_s
+        own.act(own.monitor.imu_monitor.heed(own), _ignore)  # type: ignore[attr-defined]
 
     def _take_state(self) -> None:
         """Stand where the run stands, with the errors of the unit as at the start and no reading refused."""
+        self._filter.begin(dict(self._main.memory.models))
         given = copied(self._main.memory)
         memory = transplant(self._main, self._filter).memory
         memory.sample_s, memory.drv, memory.recent, memory.intake = (
@@ -213,11 +256,11 @@ class Alternative:
         """
         own = self._filter
         own.propagate_to(reading.name, reading.time_s, _ignore)
-        answer = own.correct(reading, _ignore)
+        answer = own.correct(reading, self._heard)
         own.handle_pending(_ignore)
-        number, lane = self._numbers.get(reading.name), self._lane
+        number, lane, beside = self._numbers.get(reading.name), self._lane, self._beside
         self._choice.decide_until(self._main.time_s)
-        for filter, which, said in ((self._main, lane, correction), (own, 1 - lane, answer)):
+        for filter, which, said in ((self._main, lane, correction), (own, beside, answer)):
             # a value that comes again, to the bit, says nothing new, and is easily foretold
             if number is not None and said.outcome.dof and not (reading.same or reading.frozen):
                 note = filter.channels[reading.name].note
@@ -227,13 +270,23 @@ class Alternative:
                 self._choice.compare(which, number, reading.time_s, *foretold, lost)
         if self._choice.memory.lane != lane:
             self._change_places(tell)
-        elif lane == WITHOUT and self._is_given_up():
+        elif beside == WITH_UNIT and self._is_given_up():
             self._patience_s *= settings.LONGER
             self._try_unit()
         elif self._settles and self._tried_s() >= settings.SETTLES_S:
             self._stand_where_the_run_is()
-        if self._lane == WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
-            self.is_alive = False
+        if self._beside != WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
+            if self._lane == WITH_UNIT:
+                self.is_alive = False
+            else:
+                self._try_unit()
+
+    def _heard(self, event: Event) -> None:
+        """The second filter without the accelerometers is contradicted, too: its gyros are left out as well."""
+        if isinstance(event, UnitDoubted) and self._beside == NO_FORCES and event.corrects in (*TURNS, "depth"):
+            self._exclude(slice(3), event.since_s)
+            self._choice.on_restart(NO_UNIT, NO_FORCES)
+            self._beside = NO_UNIT
 
     def _is_given_up(self) -> bool:
         """Whether a trial of the unit has failed, or has not shown itself in time."""
@@ -262,8 +315,9 @@ class Alternative:
     def _change_places(self, tell: Listening) -> None:
         """Let the run go on as the second filter, and that as the run."""
         self._filter.apply(Fold(), _ignore)
-        self._lane, self._settles, self._refused_s = 1 - self._lane, False, self._main.time_s
-        if self._lane == WITHOUT and self._choice.memory.begun[WITH_UNIT] > -math.inf:
+        was, self._lane, self._beside = self._lane, self._beside, self._lane
+        self._settles, self._refused_s = False, self._main.time_s
+        if was == WITH_UNIT and self._choice.memory.begun[WITH_UNIT] > -math.inf:
             self._choice.probation_s *= settings.LONGER
         given, before = copied(self._filter.memory), copied(self._main.memory)
         self._main.become(given, tell)
@@ -276,18 +330,18 @@ class Alternative:
     def _try_unit(self) -> None:
         """Let the second filter begin anew from the run, with the unit, whose biases may be what was wrong."""
         own, drive = self._filter, self._vehicle.drive
-        own.begin(dict(self._main.memory.models))
         self._take_state()
         monitor: FaultMonitor = own.monitor  # type: ignore[assignment]
         axes = own.memory.monitor.imu[: imu_checks.UNIT]
-        axes[axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED, imu_checks.CODE] = imu_checks.GOOD
+        out = axes[:, imu_checks.CODE] == imu_checks.CONTRADICTED
+        axes[out, imu_checks.CODE] = imu_checks.GOOD
         own.act(monitor.imu_monitor.heed(own), _ignore)
-        unknown = np.repeat([drive.gap_rate_sd, drive.gap_force_sd], 3)  # type: ignore[attr-defined]
+        unknown = out * np.repeat([drive.gap_rate_sd, drive.gap_force_sd], 3)  # type: ignore[attr-defined]
         for places, sd in zip(own.layout.drive.biases, unknown.tolist(), strict=True):
             first = own.layout.drive.start + places[:1]
             own.apply(Inflate(first, first, sd**2), _ignore)
         self._choice.on_restart(WITH_UNIT)
-        self._settles = True
+        self._beside, self._settles = WITH_UNIT, True
 
 
 def _ignore(event: Event) -> None:

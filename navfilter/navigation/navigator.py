@@ -313,7 +313,7 @@ class Navigator(NavigatorStatus):
         """Show learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
         if isinstance(event, UnitDoubted):
-            self.alternative.begin(*event)
+            self.alternative.begin(event, self.on_event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
             self.alternative.adopt(change)
@@ -441,7 +441,7 @@ class Navigator(NavigatorStatus):
         return snapshots.write(snapshots.SnapshotContent(*saved), self.vehicle, self.time_s, path)
 
     @classmethod
-    def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> Navigator:
+    def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str], *, alternative: bool = True) -> Navigator:
         """Go on from a snapshot.
 
         Parameters
@@ -449,6 +449,8 @@ class Navigator(NavigatorStatus):
         vehicle : Vehicle
             The same as that of the snapshot.
         source : bytes or path-like
+        alternative : bool
+            As of the class.
 
         Raises
         ------
@@ -459,13 +461,13 @@ class Navigator(NavigatorStatus):
         """
         saved = snapshots.read(vehicle, source, (NavigatorMemory, MonitorMemory))
         try:
-            return cls._resumed(vehicle, saved)
+            return cls._resumed(vehicle, saved, alternative)
         except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
             raise snapshots.unreadable(error) from error
 
     @classmethod
-    def _resumed(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent) -> Navigator:
-        nav = cls(vehicle, saved.start, history_s=saved.history_s)
+    def _resumed(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent, alternative: bool) -> Navigator:
+        nav = cls(vehicle, saved.start, history_s=saved.history_s, alternative=alternative)
         check_watches(saved.watches, nav.sensor_monitors)
         nav.sensor_monitors = saved.watches
         nav.resume(saved.memory)

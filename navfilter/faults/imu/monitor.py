@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.faults import settings
-from navfilter.filter.actions import Action, AxisCondition, Count, Fold, Inflate, Reweigh
+from navfilter.filter.actions import Action, AxisCondition, Correct, Count, Fold, Inflate, Reweigh
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.monitor import FilterState
 from navfilter.kernels import imu_checks as kernel
@@ -33,6 +33,7 @@ CONDITIONS = (
 USED = CONDITIONS[: kernel.NOISY + 1]
 #: Counters: conditions that began, by axis, and spikes.
 COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
+TILTS = slice(kernel.TILTED, kernel.TILTED + 2)
 #: A reading at the end of the range, short of it by rounding.
 RANGE_END = 0.999
 
@@ -121,25 +122,28 @@ class ImuMonitor:
         if self._increments:
             samples[:, 4:] *= samples[:, :1]
 
-    def set_imu_noise(self, w: Array, C: Array, r: Array, output: Array) -> None:
-        """Error models of the axes as they are believed now: `output` (6, k + 1) from C (6, errors) and r (6,).
+    def set_imu_noise(self, w: Array, C: Array, r: Array, output: Array) -> bool:
+        """Error models of the axes as they are believed now: `output` (6, k + 1) from C (6, errors) and r (6,); whether
+        any force is felt.
 
         A value that stands for nothing read has no bias, but all the noise of the unknown.
         """
         output[:, : C.shape[1]], output[:, -1] = C, r
+        lost = w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY
+        felt = not self.active or not lost[3:].all()
         for i, code in enumerate(w[: kernel.UNIT, kernel.HEEDED]):
             if code > kernel.NOISY:
-                density = self._unseen[i] ** 2 * settings.UNSEEN_S
-                if i > 2:
+                density = self._unseen[i] ** 2 * (settings.UNSEEN_S if felt or i < 3 else settings.TURN_S)
+                if i > 2 and felt:
                     # the force at rest stands there, by the attitude as it is believed: its tilt is not felt
                     density += (w[kernel.UNIT, kernel.GRAVITY] * strapdown.GAP_TILT) ** 2 * settings.TURN_S
                 elif i < 2:
                     # velocities show a tilt only where forces are felt
-                    felt = not (w[3:6, kernel.HEEDED] > kernel.NOISY).any()
-                    density = strapdown.GAP_TILT**2 / (settings.UNSEEN_S if felt else strapdown.GAP_TILT_S)
+                    density = _tilts(w)[i] ** 2 / (strapdown.GAP_TILT_S if lost[3:].any() else settings.UNSEEN_S)
                 output[i, :-1], output[i, -1] = 0.0, density / self._period_s
             elif code == kernel.NOISY:
                 output[i, -1] = max(r[i], w[i, kernel.WHITE])
+        return felt
 
     def rate_variance(self, w: Array, r: Array) -> Array:
         """Variance of the angular rate as it is used for lever arms, shape (3,) [rad^2/s^2]."""
@@ -185,6 +189,9 @@ class ImuMonitor:
                 yield Inflate(slice(9), slice(9), np.outer(done, done))
         if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
             unit[kernel.TICK] = 0.0
+            lost = w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY
+            if lost[:2].any() and lost[3:].all():
+                yield from _come_back_to_level(memory)
             self.refer(w, memory.nav, memory.P)
         if not calm:
             yield Reweigh()  # last: from the same memory it comes out the same, whenever it is recalled
@@ -195,6 +202,8 @@ class ImuMonitor:
             unit, g = w[kernel.UNIT], strapdown.gravity(nav[0], nav[2])
             unit[kernel.REFERENCE : kernel.REFERENCE + 3] = -g * nav[12:15]
             unit[kernel.GRAVITY], unit[kernel.SURE] = g, float(P[6, 6] + P[7, 7] < kernel.LEVEL_SD**2)
+            if unit[kernel.SURE]:
+                unit[TILTS] = np.maximum(unit[TILTS], np.abs(nav[13:11:-1]))
 
     def _done(self, axis: int, error: float, seconds: float, nav: Array) -> Array:
         """What an error [rad/s, m/s^2] of an axis that lasted so long does to the nine navigation states."""
@@ -224,6 +233,26 @@ class ImuMonitor:
         if not (self.active and self._feels):
             return {}
         return {name: CONDITIONS[int(w[i, kernel.CODE])] for i, name in enumerate(self.axes)}
+
+
+def _tilts(w: Array) -> Array:
+    """How far a vehicle rolls, and pitches, standard deviations [rad]: as far as it has, a usual one at least."""
+    return np.maximum(strapdown.GAP_TILT, w[kernel.UNIT, TILTS])
+
+
+def _come_back_to_level(memory: FilterMemory) -> Iterator[Action]:
+    """What a vehicle rolls and pitches by is bounded: once a second, level is a reading of the random walk, with a
+    variance that leaves it as far as the vehicle goes.
+    """
+    yield Fold()
+    P, C = memory.P, memory.nav[6:15].reshape(3, 3)
+    across = np.hypot(C[0, 2], C[1, 2])
+    turn = np.array([C[1, 2], -C[0, 2], 0.0]) * (np.arctan2(across, C[2, 2]) / across if across > 0.0 else 1.0)
+    H = np.zeros((2, len(P)))
+    H[:, 6:9] = C.T[:2]
+    S = H @ P @ H.T + np.diag(_tilts(memory.monitor.imu) ** 2) * strapdown.GAP_TILT_S / kernel.JUDGED_S
+    K = np.linalg.solve(S, H @ P).T
+    yield Correct(np.asarray(K @ (C.T[:2] @ turn), dtype=np.float64), -K @ S @ K.T)
 
 
 def _quick(model: ErrorModel, period_s: float) -> float:
