@@ -219,7 +219,10 @@ class LaneChoice:
         gained = memory.ring[..., GAIN].sum(axis=(0, 2))
         memory.doubted[self._inertial & (short - short[now] > settings.LANE_MARGIN) & (gained < gained[now])] = 1.0
         memory.ahead = np.maximum(memory.ahead + newest - newest[now], 0.0)
-        calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > settings.ALONE).any()
+        # what has been contradicted already one sensor is enough for
+        suspect = (memory.begun > -math.inf) | ~self._inertial
+        most = settings.LANE_MARGIN if suspect[now] else settings.ALONE
+        calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > most).any()
         calm &= memory.carried[now] == 0.0
         if calm and self._inertial[now] and not (memory.ahead > settings.LANE_MARGIN).any():
             return False
@@ -242,6 +245,10 @@ class LaneChoice:
             each = gains[:, lane] - gains[:, best]
             both = (each.sum(axis=1) > settings.LANE_MARGIN) & ((each > settings.SECOND).sum(axis=1) > 1)
             single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)]) * self.alone
+            if suspect[best]:
+                others = self._contradicts(missed, best, lane)
+                others[self._velocity] = 0.0  # that of a velocity may be its own, which such a lane follows
+                single[1] = np.maximum(single[1], others)
             if both.any() or single.any():
                 best, beside = lane, single * (not both.any())
                 span = int(np.argmax(both)) if both.any() else STEPS - 1
@@ -287,10 +294,17 @@ class LaneChoice:
         most = self.memory.ring[:, :, self._velocity, JUDGED].sum(axis=0).max(axis=0)
         more, found = (missed[lane] - missed[other])[self._velocity], np.zeros(len(self.names))
         moved, first = self._moved(lane)
-        follows = missed[other] < settings.FOLLOWS * missed[lane]
-        sure = (more > settings.ALONE) & (more > settings.LANE_SHARE * FULL * most) & follows[self._velocity]
+        sure = (more > settings.ALONE) & (more > settings.LANE_SHARE * FULL * most)
+        sure &= self._contradicts(missed, lane, other)[self._velocity] > 0.0
         found[self._velocity] = np.where(sure & ~(first > moved), more, 0.0)
         return found
+
+    @staticmethod
+    def _contradicts(missed: Array, lane: int, other: int) -> Array:
+        """How much each sensor contradicts a lane, and not another one, which follows it [nat]; else zero."""
+        more = missed[lane] - missed[other]
+        follows = missed[other] < settings.FOLLOWS * missed[lane]
+        return np.where(follows & (more > settings.LANE_MARGIN), more, 0.0)
 
     def _missed(self) -> Array:
         """By lane and sensor, what was to be gained more in the last minute. A lane that is more modest than it need be
