@@ -291,20 +291,17 @@ class LaneChoice:
         """How much each velocity contradicts a lane, and not another one [nat], where it does for longer than one that
         errs itself would, and has not jumped; else zero.
         """
-        most = self.memory.ring[:, :, self._velocity, JUDGED].sum(axis=0).max(axis=0)
-        more, found = (missed[lane] - missed[other])[self._velocity], np.zeros(len(self.names))
+        more, found = self._contradicts(missed, lane, other)[self._velocity], np.zeros(len(self.names))
         moved, first = self._moved(lane)
-        sure = (more > settings.ALONE) & (more > settings.LANE_SHARE * FULL * most)
-        sure &= self._contradicts(missed, lane, other)[self._velocity] > 0.0
-        found[self._velocity] = np.where(sure & ~(first > moved), more, 0.0)
+        found[self._velocity] = np.where((more > settings.ALONE) & ~(first > moved), more, 0.0)
         return found
 
-    @staticmethod
-    def _contradicts(missed: Array, lane: int, other: int) -> Array:
-        """How much each sensor contradicts a lane, and not another one, which follows it [nat]; else zero."""
-        more = missed[lane] - missed[other]
+    def _contradicts(self, missed: Array, lane: int, other: int) -> Array:
+        """How much each sensor goes on to contradict a lane, and not another one, which follows it [nat]; else zero."""
+        most, more = self.memory.ring[..., JUDGED].sum(axis=0).max(axis=0), missed[lane] - missed[other]
         follows = missed[other] < settings.FOLLOWS * missed[lane]
-        return np.where(follows & (more > settings.LANE_MARGIN), more, 0.0)
+        lasts = more > np.maximum(settings.LANE_MARGIN, settings.LANE_SHARE * FULL * most)
+        return np.where(follows & lasts, more, 0.0)
 
     def _missed(self) -> Array:
         """By lane and sensor, what was to be gained more in the last minute. A lane that is more modest than it need be
