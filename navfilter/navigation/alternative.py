@@ -104,9 +104,10 @@ class Alternative:
         self._beside = NO_UNIT
         self._rows: Array | None = None
         told = [sensor.observes for sensor in vehicle.sensors.values()]
-        # without a compass nothing but the unit keeps the heading: what is lost then does not come back
-        self._carries = wanted and vehicle.drive.inertial and any(observes.north is not None for observes in told)
+        self._carries = wanted and vehicle.drive.inertial
         self._carries = self._carries and any(observes.corrects in ("velocity", "position") for observes in told)
+        # without a compass nothing but gyros keeps the heading: what is lost then does not come back
+        self._needs_gyros = all(observes.north is None for observes in told)
 
     @property
     def memory(self) -> AlternativeMemory | None:
@@ -163,9 +164,9 @@ class Alternative:
         """
         if not self._carries:
             return
-        doubts_gyros, lane = doubt.corrects in TURNS, self._lane if self.is_alive else WITH_UNIT
+        lane = self._lane if self.is_alive else WITH_UNIT
         if lane == NO_FORCES:
-            if self._beside == NO_UNIT or doubts_gyros or doubt.corrects == "depth":
+            if self._beside == NO_UNIT or self._doubts_gyros(doubt, "depth"):
                 self._refused_s = self._main.time_s
             if self._refused_s == self._main.time_s and self._beside != NO_UNIT:
                 self._choice.memory.begun[WITH_UNIT] = math.inf
@@ -177,11 +178,15 @@ class Alternative:
             self._prepare()
             right = [was_right(self._main, self._main.channels[name]) for name in self._choice.names]
             self._choice.alone = np.array(right, dtype=np.float64)
-            self._leave_out(NO_UNIT if doubts_gyros else NO_FORCES, doubt.since_s)
+            self._leave_out(NO_UNIT if self._doubts_gyros(doubt) else NO_FORCES, doubt.since_s)
             self.is_alive = True
         self._refused_s = self._main.time_s
         if doubt.told:
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = self._beside, 1.0
+
+    def _doubts_gyros(self, doubt: UnitDoubted, *others: str) -> bool:
+        """Whether gyros are to be left out, too."""
+        return doubt.corrects in (*TURNS, *others) and not self._needs_gyros
 
     def _leave_out(self, lane: int, since_s: float) -> None:
         """Let the second filter begin anew from the run, without what may have been wrong since a time [s]."""
@@ -283,7 +288,7 @@ class Alternative:
 
     def _heard(self, event: Event) -> None:
         """The second filter without the accelerometers is contradicted, too: its gyros are left out as well."""
-        if isinstance(event, UnitDoubted) and self._beside == NO_FORCES and event.corrects in (*TURNS, "depth"):
+        if isinstance(event, UnitDoubted) and self._beside == NO_FORCES and self._doubts_gyros(event, "depth"):
             self._exclude(slice(3), event.since_s)
             self._choice.on_restart(NO_UNIT, NO_FORCES)
             self._beside = NO_UNIT
