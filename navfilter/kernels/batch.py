@@ -17,11 +17,7 @@ from navfilter.kernels import (
     strapdown,
 )
 from navfilter.kernels.compiling import addresses
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped, standing
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
-
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch, shaped, standing
 
 # What is beyond belief is so many times the variance [1], see `navfilter.faults.bias_plausibility`.
 BELIEVED = 16.0

@@ -14,12 +14,9 @@ import math
 import numpy as np
 
 from navfilter.kernels import strapdown, symmetric
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import LANES, all_of, eight, if_below, put, times
 from navfilter.kernels.compiling.vectors import WIDE, weighted
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 #: By so many standard deviations of the velocity its slopes may be off, see `consistency.limit_velocity_slopes`.
 HELD = 3.0

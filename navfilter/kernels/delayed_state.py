@@ -8,11 +8,8 @@ import numpy as np
 
 from navfilter.kernels import consistency, measurement, strapdown
 from navfilter.kernels.compiling import addresses
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import LANES, all_of, eight, load, put, store, times
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 #: Slopes are means over this time at least: what is faster, a car on its springs or noise, tells no clock [s].
 SLOPE_S = 1.0

@@ -22,11 +22,8 @@ import math
 import numpy as np
 
 from navfilter.kernels import symmetric
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.vectors import less_half, rank2_update, weighted
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 # Head: signatures, states, channels, looks so far, time of the last look; log odds of the likeliest fault then, and how
 # far faults that nobody has noticed may have moved the position and turned the heading; time of the last reading.

@@ -8,7 +8,7 @@ bit); everything else is in rates and forces.
 
 import math
 
-from navfilter.kernels.compiling.decorators import apart, njit
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, njit
 from navfilter.kernels.compiling.registers import (
     all_below,
     all_of,
@@ -20,9 +20,6 @@ from navfilter.kernels.compiling.registers import (
     put_column,
     times,
 )
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 # Columns of an axis: its condition, how long that had lasted when it was found [s] and how long nothing has spoken for
 # it [s]; the last value as it came, times it came in a row, share of values that repeat, smallest change; the last two

@@ -9,12 +9,10 @@ import math
 import numpy as np
 
 from navfilter.kernels import consistency, symmetric
-from navfilter.kernels.compiling.decorators import apart, flat, njit, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, shaped
 from navfilter.kernels.compiling.registers import eight, not_zero
 from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_update, weighted
 
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 
 

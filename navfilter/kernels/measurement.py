@@ -11,11 +11,8 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import across, all_of, eight, if_below, load, not_zero, store
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
 # Squares of angles [rad^2] below which a rotation is a series, and one by the factorials in it.

@@ -2,10 +2,7 @@
 
 import math
 
-from navfilter.kernels.compiling.decorators import apart, njit, shaped
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, njit, shaped
 
 # It is looked at once so many readings were refused within the last ones, the older the less [1]: of good ones three in
 # a thousand are.

@@ -21,10 +21,7 @@ and last how well fixes were predicted that nothing is learnt from, and how well
 
 import math
 
-from navfilter.kernels.compiling.decorators import apart, njit, shaped
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, njit, shaped
 
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of

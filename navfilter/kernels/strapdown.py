@@ -17,12 +17,10 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch
 from navfilter.kernels.compiling.registers import all_of, load, store, times
 from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
 
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]

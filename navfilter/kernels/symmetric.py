@@ -1,11 +1,8 @@
 """Parts of symmetric matrices, eight numbers at a time."""
 
-from navfilter.kernels.compiling.decorators import apart, njit
+from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, njit
 from navfilter.kernels.compiling.registers import eight, put
 from navfilter.kernels.compiling.vectors import WIDE, mirror
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 
 @njit(cache=True, **UNCOUNTED)

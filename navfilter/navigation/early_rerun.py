@@ -14,10 +14,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest
@@ -25,8 +25,6 @@ from navfilter.navigation.runner import Rerun
 
 if TYPE_CHECKING:
     from navfilter.navigation.run import Run
-
-Array = NDArray[np.float64]
 
 
 class EarlyRerun:

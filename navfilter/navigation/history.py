@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import joined
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
-
-Array = NDArray[np.float64]
 
 
 class Restorable(Protocol):

@@ -9,7 +9,7 @@ import math
 from os import PathLike
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.memory import MonitorMemory
@@ -22,6 +22,7 @@ from navfilter.filter.imu_intake import samples_of
 from navfilter.filter.model_change import Change
 from navfilter.filter.records import Tape
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import ChannelSeries
@@ -40,8 +41,6 @@ from navfilter.navigation.status import NavigatorStatus, health_of, state_of
 from navfilter.navigation.waiting import MeasurementQueue
 
 __all__ = ["Outcome"]
-
-Array = NDArray[np.float64]
 
 
 class Navigator(NavigatorStatus):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.measurements import MeasurementSequence
 
-Array = NDArray[np.float64]
 #: Readings that are farther from the drive than this are of another clock [s]: a dive may be without any for long.
 DAY_S = 86400.0
 

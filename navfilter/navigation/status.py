@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults import fault_bank, protection_level, settings
 from navfilter.faults.alternative_path import since_fix
@@ -19,13 +18,12 @@ from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.filter import Filter
 from navfilter.filter.sensor_channel import Channel
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown
 from navfilter.models.during import same_sensor
 from navfilter.models.health import CALM, Bounds, Health, LearningHealth, SensorHealth
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.state import NavState
-
-Array = NDArray[np.float64]
 
 
 class NavigatorStatus(Shown):

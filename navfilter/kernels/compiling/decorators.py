@@ -43,6 +43,9 @@ KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < 
 #: two to four dozen numbers are no quicker, and double the code that it has to look through.
 OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 #: What defines kernels that are called by symbols, by these.
 _definitions: dict[str, Callable[[], Any]] = {}
 

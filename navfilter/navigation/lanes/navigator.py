@@ -14,7 +14,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.lane_selection import LaneChoice
@@ -22,6 +22,7 @@ from navfilter.faults.memory import MonitorMemory
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import samples_of
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.health import Health, LaneHealth, Trust
@@ -36,7 +37,6 @@ from navfilter.navigation.memory import LaneMemory, LanesMemory
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.status import NavigatorStatus, health_of
 
-Array = NDArray[np.float64]
 #: Readings come at most so long after the last sample of the drive; so much is no leap of the clock either [s].
 AHEAD_S = 1.0
 
