@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import across, all_of, eight, if_below, load, not_zero, store
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
@@ -45,8 +45,7 @@ def _third(t2, p):
     return (1.0 - p) / t2 if t2 > SMALL_ANGLE2 else P3 - t2 * (P5 - P7 * t2)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     """Velocity v in n of the reference point, as seen by an instrument; scale (one, or one an axis) and misalignment,
     if any, are `par` from `first` on.
@@ -167,8 +166,7 @@ def _bearing(n0, n1, n2, H):
     return math.atan2(n1, n0)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _deviation(psi, par, H, temperature, cfg):
     """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and
     slope.
@@ -772,8 +770,7 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
     return over_s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
     """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
 

@@ -2,7 +2,7 @@
 
 import math
 
-from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, njit, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit, shaped
 
 # It is looked at once so many readings were refused within the last ones, the older the less [1]: of good ones three in
 # a thousand are.
@@ -91,8 +91,7 @@ def _median_square(values, count):
     return total / kept / MEAN_OF_KEPT
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def excess_variance(bends, axis, latest, newest, white, work):
     """What a sensor scatters by beyond its variance in one axis: 0 where it does not, or where nobody can tell.
 
@@ -168,8 +167,7 @@ def is_worthless(kept, axes):
     return endless
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
     """Take a reading, as its correction left it, and return its NIS by the description of its sensor.
 

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import UNCOUNTED, apart, flat, njit, scratch
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch
 from navfilter.kernels.compiling.registers import all_of, load, store, times
 from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
 
@@ -183,8 +183,7 @@ def _compound(acc, m):
             Q[i, j] = T[i, j]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
     longer than `gap_s`.
@@ -336,8 +335,7 @@ def _take_errors_off(inc, xd, dt, seen, kinds, gain):
             inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, dt, drv, work):
     """One strapdown step by increments of which the drive's errors have been taken off; leaves the elements of its
     transition, of second order in dt, in `work` for `_carried`.
@@ -421,8 +419,7 @@ def _carry_directly(X, work, C, moving, Phi_ends):
         _carry_panel(Z, Z[9 * WIDE :], f[0], f, C)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _carry_constants(X, work, C, seen, moving, Phi_ends):
     """The same where constants follow the states that move: from one of the panels of the transition on."""
     size, E, G = _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
@@ -441,8 +438,7 @@ def _carry_constants(X, work, C, seen, moving, Phi_ends):
         _carry_panel(Z, errors, by, f, C)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
     """Rows 0 to 8 of X (panels of matrices with a row for each state that moves) from the left by the transition of one
     step, see `_carried`.
@@ -477,8 +473,7 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
         _carry_panel(Z, E, 1.0 if constant else dt, f, C)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_rows(X, Phid, diagonal, T, moving):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
     k = moving - 9
@@ -517,8 +512,7 @@ def _transpose(X, m):
         exchange(X, one, other, one, other)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
     k = moving - 9
@@ -585,8 +579,7 @@ def _add_both(Q, i, j, value, m):
         Q[_place(j, i, m)] += value
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_noise(dt, drv, Cr, Q, moving):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
     period per second.
@@ -617,8 +610,7 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
                     _add_both(Q, 3 + j, i, way, moving)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(dt, drv, seen, begin, end, varying, work):
     """Take the calibration errors off the increments, and note how each element of M enters, by what its axis reads: as
     one of the pairs from begin to end if these vary (by a rate, which over no time at all is no number, and nothing to
@@ -649,8 +641,7 @@ def _note_calibration(xd, drv):
         drv[CALIBRATION + int(drv[ELEMENTS + q])] = xd[len(xd) - elements + q]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _constants(Phid, Qd, drv):
     """How many of the drive's last states never change by themselves: all elements of M, or none."""
     elements = int(drv[CALIBRATED])
@@ -660,8 +651,7 @@ def _constants(Phid, Qd, drv):
     return elements
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
     first the states of its error models, then the elements of M, whose gains follow from the readings (of the axis in
@@ -698,8 +688,7 @@ def _is_diagonal(A, k):
     return True
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X, m, moving):
     """Fill panels X with the rows of the states that move, of a matrix of m columns at the beginning of M, which is
     longer.
@@ -713,8 +702,7 @@ def _to_panels(M, X, m, moving):
             copy_row(X, begin + i * WIDE, M, int(0), int(0))
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M, m, moving):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space, or
     begins the row of a constant, with zeros.
@@ -781,8 +769,7 @@ def _room(m):
     return WIDE + 2 * _high(m) * _high(m) + GAINS + 6 * (m - 9) + 6 * _high(m) + WIDE * (m - 9)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m, moving):
     """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines; those
     of Q; and work, see `GAINS`.
@@ -841,8 +828,7 @@ def _trace(nav, xd, row):
         row[17 + i] = xd[i]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _trace_panels(nav, xd, acc, both, Q, moving, trace, n):
     """What a sample leaves, into row n; rows of constants, and their columns of Q, are those of acc."""
     row, m = trace[n], acc.shape[1]
@@ -855,8 +841,7 @@ def _trace_panels(nav, xd, acc, both, Q, moving, trace, n):
     _from_panels(Q, row[8 + m + m * m :], m, moving)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     m = 9 + len(xd)
     moving = m - _constants(Phid, Qd, drv)
@@ -896,8 +881,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     m = 9 + len(xd)
     moving = m - _constants(Phid, Qd, drv)
@@ -1202,8 +1186,7 @@ def _evenly(drv, place, change, usual, now, variance, span):
         drv[place + i] = share * now[i]
 
 
-@apart
-@njit(cache=True, error_model="numpy")
+@njit(apart=True, cache=True, error_model="numpy")
 def _hold_on(nav, xd, drv, dt, F):
     """Go on evenly for `dt` seconds, or back: the vehicle turns, and its velocity in b changes, as between the last two
     samples. F: transition of errors, but for the drive's states.
@@ -1256,8 +1239,7 @@ def _hold_on(nav, xd, drv, dt, F):
             nav[6 + 3 * i + j] = C[i, j]
 
 
-@apart
-@njit(cache=True, error_model="numpy")
+@njit(apart=True, cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
