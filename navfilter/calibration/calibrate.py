@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.calibration.estimate import AROUND, Estimate, estimate
 from navfilter.calibration.lights import check_limits, lit
@@ -16,7 +15,7 @@ from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, d
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.check.units_text import amount
 from navfilter.foundation.arguments import needs
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.display import Shown
 from navfilter.foundation.quoting import json_value
 from navfilter.models.error_models import White
@@ -370,7 +369,7 @@ def _no_surer(whole: Estimate, first: Estimate, rows: Sequence[int]) -> Estimate
     return replace(whole, covariance=whole.covariance * np.outer(wider, wider))
 
 
-def _written(constants: Sequence[Constant], value: Array, sd: Array, told: NDArray[np.bool_]) -> tuple[Constant, ...]:
+def _written(constants: Sequence[Constant], value: Array, sd: Array, told: Mask) -> tuple[Constant, ...]:
     """Constants as they go into a file: those that are not told stay as described."""
     rows = zip(constants, value, sd, told, strict=True)
     return tuple(one._replace(value=float(v), sd=min(float(s), one.sd)) if t else one for one, v, s, t in rows)
@@ -393,7 +392,7 @@ def _result(
     return Calibration(listed, new, kept, *predictions, factor, whole.settled, whole.rounds, constants)
 
 
-def _listed(of: Estimate, sd: Array, scatter: Array, told: NDArray[np.bool_]) -> dict[str, Found]:
+def _listed(of: Estimate, sd: Array, scatter: Array, told: Mask) -> dict[str, Found]:
     rows = zip(of.constants, of.value.tolist(), sd.tolist(), scatter.tolist(), told.tolist(), strict=True)
     return {one.name: Found(one.name, one.unit, one.part, one.value, one.sd, *numbers) for one, *numbers in rows}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +19,9 @@ from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.models.sensors import Sensor
-from navfilter.models.vehicle import DEAD_RECKONING
+from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
 from navfilter.models.window_limits import least_window
 from navfilter.navigation.navigator import Navigator
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
 
 _ORDERS = {1: "first", 2: "second", 3: "third", 4: "fourth"}
 _COLUMN = 13

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,7 @@ from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.foundation.display import counted
 from navfilter.models.mission import Array, Mission, Stream
 from navfilter.models.state import wrap
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 EARTH_RADIUS_M = 6.371e6
 #: Correlation below which two sensors have too little in common to be judged.

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.arguments import within
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Stream
 from navfilter.models.sensors import Sensor, traits
@@ -134,7 +133,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
     }
 
 
-def innovation_series(residuals: Residuals, axis: int, rows: NDArray[np.bool_] | None = None) -> Array:
+def innovation_series(residuals: Residuals, axis: int, rows: Mask | None = None) -> Array:
     """Innovations of one axis over their predicted sd, on the ticks of the sensor; NaN where a reading is missing or
     not among `rows`.
 

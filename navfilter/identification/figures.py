@@ -13,11 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from navfilter.foundation import utc
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Complex
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification
 from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw, line
@@ -267,7 +266,7 @@ def pole_figure(found: Identification) -> Figure:
     return figure
 
 
-def _zoom(poles: NDArray[np.complex128], zeros: NDArray[np.complex128]) -> float:
+def _zoom(poles: Complex, zeros: Complex) -> float:
     """Half width of the window about 1 that holds the roots within 0.2 of it; 0 when there is none."""
     roots = np.r_[poles, zeros]
     close = np.abs(roots[np.abs(roots - 1.0) < 0.2] - 1.0)

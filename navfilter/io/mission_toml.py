@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from navfilter.foundation.arguments import within
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
@@ -39,8 +38,6 @@ from navfilter.io.validation import read_toml, validate
 from navfilter.models.during import During
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 from navfilter.models.state import euler_from_matrix, wrap
-
-Bool = npt.NDArray[np.bool_]
 
 #: More than a month at 100 Hz.
 _MOST_ROWS = 3e8
@@ -328,7 +325,7 @@ class _Reader:
         assert clock.file is not None  # only called with one, for the type checker
         return self.table(clock.file, TableOptions(table=clock.table, transpose=clock.transpose))
 
-    def _changed(self, table: Table, source: Source, parts: dict[str, Array]) -> Bool:
+    def _changed(self, table: Table, source: Source, parts: dict[str, Array]) -> Mask:
         """Rows in which a value differs from the row before; nobody knows how old the first row is, so it is none."""
         if source.only_changes is True:
             watched = np.column_stack([part for group, part in parts.items() if group != SD])
@@ -385,7 +382,7 @@ def _rows(table: Table, source: Source) -> int:
     return int(table.joined(source.time.column).shape[0])
 
 
-def _on_circle(names: tuple[str, ...]) -> Bool:
+def _on_circle(names: tuple[str, ...]) -> Mask:
     """Which columns are angles on a circle: interpolated unwrapped, handed out wrapped."""
     return np.isin(names, [name for columns in groups().values() for name in columns.circular])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -159,10 +159,6 @@ def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) ->
         return f"{len(names)} {what}, not shown: the file lies outside the folder of the mission"
     shown = ", ".join(f'"{name}"' for name in names[:most])
     return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-if TYPE_CHECKING:
-    from navfilter.io.table import Table
 
 
 Bool = npt.NDArray[np.bool_]

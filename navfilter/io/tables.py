@@ -8,20 +8,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from navfilter.foundation.display import counted
+from navfilter.io.logs import Shelf
 from navfilter.io.table import Table, TableOptions, Where, listing
 from navfilter.io.text_tables import before_comment, read_text
 from navfilter.io.trust import BROKEN, OPENERS, Place
 from navfilter.models.mission import MissionError
-
-if TYPE_CHECKING:
-    from navfilter.io.logs import Shelf
-
 
 #: Columns of a MOOS log.
 _ALOG = ("time", "name", "source", "value")

@@ -6,10 +6,9 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from navfilter.models.sensors import Sensor
+from navfilter.models.sensors import Sensor
 
 _ALIAS = re.compile(r".+@\d+")
 

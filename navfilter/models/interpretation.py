@@ -11,14 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Complex
 from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
-
-Complex = NDArray[np.complex128]
 
 #: A correlation that falls to 1/e within this many samples is the device's own filtering, not drift.
 SHORT_SAMPLES = 3.0

@@ -23,10 +23,9 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 #: File of the checksums, in the folder of the kernels.
 LIST = "navfilter-kernels.json"

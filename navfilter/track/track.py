@@ -17,18 +17,16 @@ from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, often, span
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import block_level
+from navfilter.models.health import LaneHistory
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.models.mission import Stream
 from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
+from navfilter.models.vehicle import Vehicle
+from navfilter.timeseries.model import ArmaModel
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-    from navfilter.models.health import LaneHistory
-    from navfilter.models.vehicle import Vehicle
-    from navfilter.timeseries.model import ArmaModel
-
 _TRUTH = "That of a mission is mission.truth."
 #: Fields with one row per time.
 _BY_ROW = ("time_s", "latitude", "longitude", "height", "velocity_n", "attitude", "covariance", "states", "states_sd")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Ints
 
 #: Value, lower end, upper end.
 Estimate = tuple[float, float, float]
@@ -162,6 +162,6 @@ def _tails(level: float) -> list[float]:
     return [0.5 - 0.5 * level, 0.5 + 0.5 * level]
 
 
-def _resampled(n: int) -> NDArray[np.int64]:
+def _resampled(n: int) -> Ints:
     """Rows of resampled runs; the same ones every time, so that a table can be made again."""
     return np.random.default_rng(20030501).integers(0, n, size=(RESAMPLES, n))

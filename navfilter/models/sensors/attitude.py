@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vect
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 ATTITUDE = Columns("attitude", ("roll_rad", "pitch_rad", "yaw_rad"), ("angle",) * 3, circular=("roll_rad", "yaw_rad"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import DVL_ERROR, BodyVelocity
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 MOST_BEAMS = 4
 BEAMS = Columns(

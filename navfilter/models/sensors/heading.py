@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import consistency, measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
 from navfilter.models.navigation_drift import Drift, DriftSource
@@ -19,9 +18,7 @@ from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
@@ -225,7 +222,7 @@ class Heading(Sensor):
         otherwise = self.magnetometer or type(self).read is not Heading.read
         return (0.0, 0) if otherwise else (LARGEST, self.reads + 1)
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """Headings at once; fields one by one."""
         otherwise = self.magnetometer or type(self).read is not Heading.read
         if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:

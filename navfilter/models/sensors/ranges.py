@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,7 @@ from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 EARTH = (strapdown.EARTH_RADIUS, strapdown.EARTH_E2)
 RANGE = Columns("range", ("range_m",), ("length",))

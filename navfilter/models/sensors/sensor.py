@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
 from navfilter.models.error_models import ErrorModel, White, checked_number, per_axis
@@ -20,9 +20,7 @@ from navfilter.models.parameters import Calibrated, Parameter, check_calibrated,
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, kind_name
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]
@@ -284,7 +282,7 @@ class Sensor(FrozenDescription):
         """
         return (LARGEST, self.reads) if type(self).read is Sensor.read else (0.0, 0)
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """`read` of many readings: what it makes of each, NaN beyond, and which of them are readings.
 
         Parameters
