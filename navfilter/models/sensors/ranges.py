@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement, strapdown
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
@@ -106,8 +106,7 @@ class Range(Sensor):
         super().__post_init__()
         if min(checked_vector("Range.beacon_sd_m", self.beacon_sd_m)) < 0.0:
             raise ValueError(f"Range.beacon_sd_m must not be negative, found {self.beacon_sd_m!r}.")
-        for name in ("scale_sd", "offset_sd_m"):
-            checked_number(f"Range.{name}", getattr(self, name))
+        check_numbers(self, "scale_sd", "offset_sd_m")
         if not self.beacons:
             raise ValueError(
                 "Range.beacons must name at least one beacon, found none. Example: beacons=((26.0, -80.0, -50.0),), "

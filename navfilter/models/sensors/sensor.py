@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
-from navfilter.models.error_models import ErrorModel, White, checked_number, per_axis
+from navfilter.models.error_models import ErrorModel, White, check_numbers, per_axis
 from navfilter.models.learned_arma import resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
@@ -164,7 +164,7 @@ class Sensor(FrozenDescription):
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
-        checked_number(f"{name}.rate_hz", self.rate_hz, zero_ok=False)
+        check_numbers(self, "rate_hz", zero_ok=False)
         if not 0.5 <= self.gate_probability < 1.0:
             raise ValueError(
                 f"{name}.gate_probability must lie in [0.5, 1), found {self.gate_probability!r}. Typical: 0.999."
@@ -179,7 +179,7 @@ class Sensor(FrozenDescription):
         """Refuse what no kind can use."""
         if not math.isfinite(self.time_offset_s):
             raise ValueError(f"{name}.time_offset_s must be a finite number, found {self.time_offset_s!r}.")
-        checked_number(f"{name}.time_offset_sd_s", self.time_offset_sd_s)
+        check_numbers(self, "time_offset_sd_s")
         if self.from_drive and (self.time_offset_s or self.time_offset_sd_s):
             raise ValueError(
                 f"{name} has no clock of its own: it is made from the drive's samples. Leave the time_offset out."

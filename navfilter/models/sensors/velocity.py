@@ -11,7 +11,7 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter, hidden_states
@@ -259,12 +259,7 @@ class WaterVelocity(BodyVelocity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("current_sd_m_s", "current_tau_s"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(
-                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, "
-                    "3600 s."
-                )
+        check_numbers(self, "current_sd_m_s", "current_tau_s", zero_ok=False, usual="0.3 m/s, 3600 s")
         if self.current is not None:
             self._check_current()
         if any(learning_part(model) is not None for model in self.models):
