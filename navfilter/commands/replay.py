@@ -302,13 +302,14 @@ def _write(
     report = folder / "report.html"
     if drawn:
         from navfilter.io.tracks.table import read_track
-        from navfilter.report.report import write_report
+        from navfilter.io.write import write_text
+        from navfilter.report.report import render_report
 
         others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]
         beside = {_unlike(other.label, tracks): other for other in others}
         tiles = getattr(options, "tiles", None)
         with console.figures_bar(options.quiet) as bar:
-            write_report(tracks, mission, report, bar.update, assessment, beside, tiles)
+            write_text(render_report(tracks, mission, bar.update, assessment, beside, tiles), report)
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:

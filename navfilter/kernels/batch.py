@@ -680,11 +680,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
         row[4], row[5] = float(kept_samples), float(kept_values + z.size)
     figures[SAME], figures[SINCE_S] = 1.0, time_s
     holds = time_s - now_s > SAME_S and drv[strapdown.STARTED] != 0.0
-    state, drive, times = (
-        (nav, x, P, acc),
-        (drv, Phid, Qd, Cr),
-        (time_s, now_s, 0.0, facts[TICK_S], holds),
-    )
+    state, drive, times = (nav, x, P, acc), (drv, Phid, Qd, Cr), (time_s, now_s, 0.0, facts[TICK_S], holds)
     count, used = _correct_reading(bench, plan, own, state, drive, recent, (read, read[:0]), times)
     note = bench[verdict : verdict + 3 + a]
     if not used:
@@ -694,10 +690,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     _note_used(figures, time_s, note[0], note[1], nav)
     if undone.size > 0:
         mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[open_loop_residual.MOUNT :]
-        C, kind = (
-            shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors),
-            int(ear[open_loop_residual.KIND]),
-        )
+        C, kind = (shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors), int(ear[open_loop_residual.KIND]))
         open_loop_residual.record_residual(
             undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED]
         )

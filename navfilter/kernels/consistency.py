@@ -556,11 +556,7 @@ def _with_turned(whole, n, first, of, j, x, y, z):
     """Eight numbers from column j on of three rows, with the cross products added: see `add_turned`."""
     u, v, w = eight(whole, of * n + j), eight(whole, (of + 1) * n + j), eight(whole, (of + 2) * n + j)
     a, b, c = eight(whole, first * n + j), eight(whole, (first + 1) * n + j), eight(whole, (first + 2) * n + j)
-    return (
-        a + (times(v, z) - times(w, y)),
-        b + (times(w, x) - times(u, z)),
-        c + (times(u, y) - times(v, x)),
-    )
+    return (a + (times(v, z) - times(w, y)), b + (times(w, x) - times(u, z)), c + (times(u, y) - times(v, x)))
 
 
 @njit(cache=True, **UNCOUNTED)

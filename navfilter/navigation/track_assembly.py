@@ -58,13 +58,7 @@ class _Rows:
         return alike
 
     def put(
-        self,
-        begin: int,
-        places: Ints,
-        state: Array,
-        P: Array,
-        variance: Array,
-        correction: Array | float = 0.0,
+        self, begin: int, places: Ints, state: Array, P: Array, variance: Array, correction: Array | float = 0.0
     ) -> None:
         """Some rows from that number on: nominal and error states (q, 17 + k), covariances (q, 9, 9), variances (q, k),
         and what is to be added to the k error states.
