@@ -18,7 +18,6 @@ from navfilter.io.logs.topic_names import INSTRUMENT
 from navfilter.io.mission_schema import (
     SD,
     Clock,
-    DuringSpec,
     MissionSpec,
     Origin,
     Source,
@@ -104,13 +103,8 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
         notes=tuple(reader.notes),
         windows=spec.windows,
         epoch_utc_s=None if epoch_utc_s is None else epoch_utc_s + zero,
-        during=tuple(_instruction(one) for one in spec.during),
+        during=tuple(During(**one.model_dump()) for one in spec.during),
     )
-
-
-def _instruction(spec: DuringSpec) -> During:
-    begin, end = -np.inf if spec.from_s is None else spec.from_s, np.inf if spec.to_s is None else spec.to_s
-    return During(spec.sensor, begin, end, spec.off, spec.noise, spec.keys, spec.why)
 
 
 def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -> float:
@@ -368,7 +362,7 @@ def _wanted_of_logs(spec: MissionSpec, folder: Path) -> dict[Path, dict[str, set
 
 
 def _layout(source: Source) -> TableOptions:
-    return TableOptions(**{key: getattr(source, key) for key in TableOptions.__dataclass_fields__})  # the same names
+    return TableOptions(**{key: getattr(source, key) for key in TableOptions.model_fields})
 
 
 def _rows(table: Table, source: Source) -> int:
