@@ -378,24 +378,9 @@ class Navigator(NavigatorStatus):
         return self.filter.memory.intake.offset_s
 
     @property
-    def counts(self) -> dict[str, int]:
-        """Irregularities so far, see `Health.drive`."""
-        return self.filter.counts
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Estimates of all error states and parameters by name."""
-        return self.filter.errors
-
-    @property
     def pose(self) -> Pose:
         """Where it is, how it moves and points, now, in plain numbers: for every sample."""
         return Pose.unpack(self.filter.memory.time_s, self.filter.memory.nav)
-
-    @property
-    def covariance(self) -> Array:
-        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9): that of `state`, by itself."""
-        return self.filter.present[:81].reshape(9, 9)
 
     @property
     def state(self) -> NavState:

@@ -346,24 +346,9 @@ class LaneNavigator(NavigatorStatus):
         return min((self.lanes[name].offset_s for name in self._units), key=abs)
 
     @property
-    def counts(self) -> dict[str, int]:
-        """Irregularities so far, of the lane in force."""
-        return self.believed.counts
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Estimates of all error states and parameters by name, of the lane in force."""
-        return self.believed.errors
-
-    @property
     def pose(self) -> Pose:
         """Where it is, how it moves and points, now, in plain numbers."""
         return self.believed.pose
-
-    @property
-    def covariance(self) -> Array:
-        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9)."""
-        return self.believed.covariance
 
     @property
     def state(self) -> NavState:
