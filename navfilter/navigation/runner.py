@@ -20,7 +20,7 @@ from navfilter.foundation.arrays import Array, Ints, Mask
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import open_loop_residual, strapdown
-from navfilter.navigation.measurements import MeasurementSequence
+from navfilter.navigation.recorded_inputs import MeasurementSequence
 from navfilter.navigation.run import Run
 
 Output = tuple[Array, Array, Array, Ints, Array]
