@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from navfilter.commands import console, mission_part
+from navfilter.io.tracks.formats import FORMATS, is_nowhere
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
@@ -21,16 +22,6 @@ if TYPE_CHECKING:
     from navfilter.playback.held_out import Withheld
     from navfilter.track.track import Track
 
-
-from typing import TYPE_CHECKING
-
-from navfilter.io.tracks.formats import FORMATS, is_nowhere
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from navfilter.models.mission import Mission
-    from navfilter.track.track import Track
 
 #: Exit codes of a run whose track is not to be trusted, and of one that nothing in the mission can judge.
 NOT_TRUSTED, NOT_JUDGED = 1, 3

@@ -6,9 +6,10 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from navfilter.models.sensors import Sensor
+if TYPE_CHECKING:
+    from navfilter.models.sensors import Sensor
 
 _ALIAS = re.compile(r".+@\d+")
 

@@ -23,9 +23,10 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from navfilter.models.vehicle import Vehicle
+if TYPE_CHECKING:
+    from navfilter.models.vehicle import Vehicle
 
 #: File of the checksums, in the folder of the kernels.
 LIST = "navfilter-kernels.json"

@@ -7,10 +7,13 @@ import importlib.util
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from navfilter.foundation.arguments import needs
-from navfilter.models.mission import Mission
-from navfilter.track.track import Track
+
+if TYPE_CHECKING:
+    from navfilter.models.mission import Mission
+    from navfilter.track.track import Track
 
 #: What begins this near to latitude 0, longitude 0 began at a place that nobody gave: 64 m [rad], 1 m [deg].
 _NOWHERE = 1e-5
