@@ -11,7 +11,7 @@ import numpy as np
 from navfilter.check import shared_motion, vertical
 from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import course_findings
-from navfilter.check.course_fit import POLAR
+from navfilter.check.course_fit import EARTH_RADIUS_M, POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import (
     MOST_WINDOWS,
@@ -29,7 +29,6 @@ from navfilter.models.mission import Array, Mission, Stream
 from navfilter.models.state import wrap
 from navfilter.models.vehicle import Vehicle
 
-EARTH_RADIUS_M = 6.371e6
 #: Correlation below which two sensors have too little in common to be judged.
 LITTLE = 0.5
 #: Delays up to this are looked for [s].

@@ -17,9 +17,9 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.statistics import chi_square_band
 from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.foundation.arrays import Array
+from navfilter.foundation.chi_square import chi_square_range
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import WIDTH_IN, colour, style, time_axis
 
@@ -67,7 +67,7 @@ def nees_figure(results: Results) -> Figure:
         axes = figure.subplots(2, len(results.tracks), sharex=True, sharey=True, squeeze=False)
         for t, track in enumerate(results.tracks):
             for ax, (key, dof) in zip(axes[:, t], _FREEDOM.items(), strict=True):
-                low, high = chi_square_band(runs, dof)
+                low, high = chi_square_range(runs * dof)
                 ax.axhspan(
                     low, high, color="#bbbbbb", alpha=0.5, linewidth=0, label=f"95 % of honest filters, {runs} runs"
                 )
