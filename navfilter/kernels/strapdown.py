@@ -29,8 +29,9 @@ EARTH_RATE = 7.292115e-5  # [rad/s]
 GRAVITY_EQUATOR = 9.7803253359  # Somigliana [m/s^2]
 GRAVITY_POLE = 9.8321849378
 GRAVITY_SLOPE = 2.0 / EARTH_RADIUS  # relative decrease per metre of height
-# Of the series of a rotation by a small angle: one by the factorials of 3, 5, 7 and 4, 6, 8.
-P3, P5, P7, Q4, Q6, Q8 = 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0, 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
+# The square of an angle [rad^2] below which a rotation is a series; one by the factorials of 3, 5, 7 and 4, 6, 8.
+SMALL_ANGLE2, P3, P5, P7 = 1e-3, 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0
+Q4, Q6, Q8 = 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
 SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 
 # Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of
@@ -139,9 +140,9 @@ def gravity(latitude, height):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _rodrigues(t2):
+def rodrigues(t2):
     """Factors a, b of ``exp([v x]) = I + a [v x] + b [v x]^2`` for |v|^2 = t2."""
-    if t2 > 1e-3:
+    if t2 > SMALL_ANGLE2:
         t = math.sqrt(t2)
         return math.sin(t) / t, (1.0 - math.cos(t)) / t2
     # series without divisions, which are slow: the first term left out is below 1e-17
@@ -149,7 +150,7 @@ def _rodrigues(t2):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _turned(a, b, x, y, z, u, v, w):
+def rotated(a, b, x, y, z, u, v, w):
     """The vector (u, v, w) turned: itself + a (x, y, z) x it + b (x, y, z) x ((x, y, z) x it)."""
     f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
     return u + a * f + b * (y * h - z * g), v + a * g + b * (z * f - x * h), w + a * h + b * (x * g - y * f)
@@ -294,15 +295,15 @@ def _mechanise(nav, inc, dt, C):
     nav[2] = h - md * dt
     nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
     # C exp([th x]): each row turned by -th; then exp(-[w dt x]) C: each column turned by -w dt
-    a, b = _rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
-    d0, d1, d2 = _turned(-a, b, th0, th1, th2, c0, c1, c2)
-    d3, d4, d5 = _turned(-a, b, th0, th1, th2, c3, c4, c5)
-    d6, d7, d8 = _turned(-a, b, th0, th1, th2, c6, c7, c8)
+    a, b = rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
+    d0, d1, d2 = rotated(-a, b, th0, th1, th2, c0, c1, c2)
+    d3, d4, d5 = rotated(-a, b, th0, th1, th2, c3, c4, c5)
+    d6, d7, d8 = rotated(-a, b, th0, th1, th2, c6, c7, c8)
     x, y, z = wn * dt, we * dt, wd * dt
-    a, b = _rodrigues(x * x + y * y + z * z)
-    d0, d3, d6 = _turned(-a, b, x, y, z, d0, d3, d6)
-    d1, d4, d7 = _turned(-a, b, x, y, z, d1, d4, d7)
-    d2, d5, d8 = _turned(-a, b, x, y, z, d2, d5, d8)
+    a, b = rodrigues(x * x + y * y + z * z)
+    d0, d3, d6 = rotated(-a, b, x, y, z, d0, d3, d6)
+    d1, d4, d7 = rotated(-a, b, x, y, z, d1, d4, d7)
+    d2, d5, d8 = rotated(-a, b, x, y, z, d2, d5, d8)
     nav[6], nav[7], nav[8], nav[9], nav[10], nav[11], nav[12], nav[13], nav[14] = d0, d1, d2, d3, d4, d5, d6, d7, d8
     C[0], C[1], C[2] = 0.5 * (c0 + d0), 0.5 * (c1 + d1), 0.5 * (c2 + d2)
     C[3], C[4], C[5] = 0.5 * (c3 + d3), 0.5 * (c4 + d4), 0.5 * (c5 + d5)
@@ -1196,14 +1197,14 @@ def _hold_on(nav, xd, drv, dt, F):
     for i in range(9):
         F[i, i] = 1.0
     x, y, z = dt * drv[TURNING], dt * drv[TURNING + 1], dt * drv[TURNING + 2]
-    p, q = _rodrigues(x * x + y * y + z * z)
+    p, q = rodrigues(x * x + y * y + z * z)
     flow, half = int(drv[CURRENT]), 0.5 * dt
     north, east = (xd[flow], xd[flow + 1]) if flow >= 0 else (0.0, 0.0)
     # through the water, which does not turn
     v0, v1, v2 = nav[3] - north, nav[4] - east, nav[5]
     R, C, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for i in range(3):
-        C[i, 0], C[i, 1], C[i, 2] = _turned(-p, q, x, y, z, nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i])
+        C[i, 0], C[i, 1], C[i, 2] = rotated(-p, q, x, y, z, nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i])
     for i in range(3):
         v[i] = dt * (C[i, 0] * drv[GAINING] + C[i, 1] * drv[GAINING + 1] + C[i, 2] * drv[GAINING + 2])
         for j in range(3):
@@ -1430,13 +1431,13 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             if par >= 0:
                 g0, g1, g2 = 1.0 + xd[par], 1.0 + xd[par + step], 1.0 + xd[par + 2 * step]
                 a, b, c = xd[par + 2 * step + 1], xd[par + 2 * step + 2], xd[par + 2 * step + 3]
-            p, q = _rodrigues(a * a + b * b + c * c)
+            p, q = rodrigues(a * a + b * b + c * c)
             for i in range(3):
                 # row i of C M, then times the inverse of (1 + scale) R(misalignment)
                 r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
                 r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
                 r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
-                r0, r1, r2 = _turned(p, q, a, b, c, r0, r1, r2)
+                r0, r1, r2 = rotated(p, q, a, b, c, r0, r1, r2)
                 J[3 + i, 3], J[3 + i, 4], J[3 + i, 5] = r0 / g0, r1 / g1, r2 / g2
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
@@ -1514,8 +1515,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             turned = par + 2 * step + 1
             a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]
             angle2 = a * a + b * b + c * c
-            p, q = _rodrigues(angle2)
-            t0, t1, t2 = _turned(p, q, a, b, c, err[0], err[1], err[2])
+            p, q = rodrigues(angle2)
+            t0, t1, t2 = rotated(p, q, a, b, c, err[0], err[1], err[2])
             # a change of m turns further, by I + q [m x] + third [m x]^2 of it
             third = (1.0 - p) / angle2 if angle2 > 1e-3 else (1.0 - angle2 / 20.0 * (1.0 - angle2 / 42.0)) / 6.0
             for i in range(9):
@@ -1528,7 +1529,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                     F[i, 11 + par] -= j2 * t2
                 j0, j1, j2 = (1.0 + xd[par]) * j0, (1.0 + xd[par + step]) * j1, (1.0 + xd[par + 2 * step]) * j2
                 y0, y1, y2 = t1 * j2 - t2 * j1, t2 * j0 - t0 * j2, t0 * j1 - t1 * j0
-                y0, y1, y2 = _turned(-q, third, a, b, c, y0, y1, y2)
+                y0, y1, y2 = rotated(-q, third, a, b, c, y0, y1, y2)
                 F[i, 9 + turned] -= y0
                 F[i, 10 + turned] -= y1
                 F[i, 11 + turned] -= y2
