@@ -13,14 +13,14 @@ import numpy as np
 from harness import Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.simulation.scenarios import demo_mission, true_vehicle
+from navfilter.simulation.scenarios import simulate_scenario, true_vehicle
 
 MODELS = ("file", "gm1-fitted", "learnt", "told")
 
 
 def figures(seed: int) -> list[list[float]]:
     """Heading rms [deg], position rms [m] and NEES of heading of each model."""
-    vehicle, mission = demo_mission(seed)
+    vehicle, mission = simulate_scenario("demo", seed)
     truth = true_vehicle("demo")
     assert truth is not None and mission.truth is not None
     vehicles = (

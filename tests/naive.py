@@ -223,6 +223,16 @@ def rotation(v):
     return expm(skew(v))
 
 
+def rodrigues(t2):
+    t = np.sqrt(t2)
+    return np.sinc(t / np.pi), 0.5 * np.sinc(0.5 * t / np.pi) ** 2
+
+
+def rotated(a, b, x, y, z, u, v, w):
+    K = skew((x, y, z))
+    return tuple((np.eye(3) + a * K + b * K @ K) @ (u, v, w))
+
+
 def rotation_and_changes(v):
     """exp([v x]) and its derivatives by the three elements of v: an imaginary step is exact to rounding."""
     return rotation(v), [np.imag(rotation(v + 1e-20j * axis)) / 1e-20 for axis in np.eye(3)]

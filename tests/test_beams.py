@@ -255,7 +255,7 @@ def test_words_and_file(tmp_path):
         ({"beam_azimuth_rad": (0.0, 1.0, math.nan)}, "beam_azimuth_rad must be 3 or 4 finite angles"),
         ({"beam_tilt_rad": 0.0}, "beam_tilt_rad must lie between 0 and pi/2"),
         ({"current_sd_m_s": -1.0}, "current_sd_m_s must be a finite number >= 0"),
-        ({"current_sd_m_s": 0.3, "current_tau_s": 0.0}, "current_tau_s > 0"),
+        ({"current_sd_m_s": 0.3, "current_tau_s": 0.0}, "current_tau_s must be a finite number > 0"),
         ({"error": (nf.White(sd=0.1),) * 4}, "a tuple of 8"),
     ],
 )

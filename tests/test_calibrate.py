@@ -237,14 +237,14 @@ def test_a_constant_that_has_left_its_prior_does_not_spoil_the_others(monkeypatc
     """Of wheels a rotation about the way they roll came out 14 deg off, and the true scale was refused, too."""
     spoilt = "velocity.misalignment_x"
 
-    def calibrated(vehicle, wide, missions, cut, each, tell):
+    def calibrated(asked, wide):
         constants = constants_of(wide)
         kept = spoilt not in [one.name for one in constants]
         listed = [Found(c.name, c.unit, c.part, 0.0, c.sd, 0.5 * c.sd, 0.1 * c.sd, 0.0, True) for c in constants]
         listed = [replace(one, value=5.0 * one.before_sd) if one.name == spoilt else one for one in listed]
-        return Calibration(tuple(listed), wide if kept else vehicle, kept, None, None, 1.0, True, 1, constants)
+        return Calibration(tuple(listed), wide if kept else asked.vehicle, kept, None, None, 1.0, True, 1, constants)
 
-    monkeypatch.setattr("navfilter.calibration.calibrate._calibrated", calibrated)
+    monkeypatch.setattr("navfilter.calibration.calibrate._Asked.calibrated", calibrated)
     result = nf.calibrate(reckoning(**UNSURE), [dive(4, way=AHEAD)])
     by_name = found(result)
     assert result.kept and list(by_name) == [one.name for one in constants_of(reckoning(**UNSURE))]
@@ -260,7 +260,7 @@ def test_a_constant_that_has_left_its_prior_does_not_spoil_the_others(monkeypatc
 def test_a_constant_that_has_left_its_prior_is_kept_where_it_predicts_better(with_it, monkeypatch):
     far = "velocity.misalignment_z"
 
-    def calibrated(vehicle, wide, missions, cut, each, tell):
+    def calibrated(asked, wide):
         constants = constants_of(wide)
         listed = [Found(c.name, c.unit, c.part, 0.0, c.sd, 0.5 * c.sd, 0.1 * c.sd, 0.0, True) for c in constants]
         listed = [replace(one, value=5.0 * one.before_sd) if one.name == far else one for one in listed]
@@ -268,7 +268,7 @@ def test_a_constant_that_has_left_its_prior_is_kept_where_it_predicts_better(wit
         before, after = (Prediction(9, rms, 0.5, 0.95, np.nan) for rms in (1.0, rms_m))
         return Calibration(tuple(listed), wide, True, before, after, 1.0, True, 1, constants)
 
-    monkeypatch.setattr("navfilter.calibration.calibrate._calibrated", calibrated)
+    monkeypatch.setattr("navfilter.calibration.calibrate._Asked.calibrated", calibrated)
     result = nf.calibrate(reckoning(**UNSURE), [dive(4, way=AHEAD)])
     assert result.kept and found(result)[far].believed == (with_it < 0.5)
     assert result.after.rms_m == min(with_it, 0.5)

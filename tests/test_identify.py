@@ -453,9 +453,12 @@ def still(tmp_path_factory):
     return folder
 
 
+_FIGURES = ["series", "psd", "correlation", "orders", "residuals", "residual_correlation", "poles", "allan"]
+
+
 def test_command_writes_page_numbers_and_figures(still):
     names = {path.name for path in (still / "out").glob("[!.]*")}
-    figures = {f"{name}.svg" for name in ("series", "psd", "correlation", "orders", "residuals", "poles", "allan")}
+    figures = {f"{name}.svg" for name in _FIGURES}
     assert names == figures | {"identify.html", "identify.json"}
     for name in figures:
         ElementTree.parse(still / "out" / name)

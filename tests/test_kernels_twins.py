@@ -117,6 +117,16 @@ def test_what_turns_with_the_heading():
     )
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-3, 0.03, 0.032, 1.0, 3.0])
+def test_a_vector_is_turned_by_small_angles_and_large_ones(size):
+    by, v = size * np.array([0.6, -0.64, 0.48]), (0.3, -2.0, 1.0)
+    factors = strapdown.rodrigues(by @ by)
+    np.testing.assert_allclose(factors, naive.rodrigues(by @ by), rtol=1e-12)
+    turned = strapdown.rotated(*factors, *by, *v)
+    np.testing.assert_allclose(turned, naive.rotated(*factors, *by, *v), rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(turned, naive.rotation(by) @ v, rtol=1e-12)
+
+
 def functions(name):
     tree = ast.parse((FOLDER / f"{name}.py").read_text())
     return [node for node in tree.body if isinstance(node, ast.FunctionDef)]

@@ -10,6 +10,7 @@ import pytest
 import navfilter
 from navfilter.io import mission_schema as schema
 from navfilter.io.mission_schema import FORMS, TRUTH_ONLY, groups
+from navfilter.io.table import Where
 from navfilter.io.tracks.formats import FORMATS
 from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
@@ -82,7 +83,7 @@ MISSION_TABLES = {
     "The mission": (schema.MissionSpec, set()),
     "Stream": (schema.StreamSpec, set()),
     "Source": (schema.Source, GROUP_NAMES),
-    "Where": (schema.Where, set()),
+    "Where": (Where, set()),
     "Time": (schema.Clock, set()),
     "Component": (schema.Component, set()),
     "Origin": (schema.Origin, set()),

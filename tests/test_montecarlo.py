@@ -26,7 +26,6 @@ from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign, run
 from navfilter.evaluation.montecarlo.figures import write_figures
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.statistics import (
-    chi_square_band,
     mean_interval,
     ratio_interval,
     rms_interval,
@@ -35,6 +34,7 @@ from navfilter.evaluation.montecarlo.statistics import (
 from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.tables import ratios, rows, table, write_tables
 from navfilter.evaluation.montecarlo.workers import cluster, process_pool
+from navfilter.foundation.chi_square import chi_square_limit, chi_square_range
 
 SMALL = Campaign("compass-gm1-white", duration_s=100.0, score_from_s=40.0, imu_rate_hz=20.0)
 MODELS, SEEDS = ("vehicle", "gm1-fitted", "oracle"), (3, 4, 5)
@@ -352,7 +352,7 @@ def test_the_truth_is_honest_and_the_other_is_not(tmp_path):
     """
     campaign = Campaign("compass-rolling", duration_s=100.0, score_from_s=30.0, imu_rate_hz=20.0, smooth=False)
     results = run_campaign(campaign, range(1, 17), ("vehicle", "oracle"), tmp_path)
-    low, high = chi_square_band(16, 1, 0.999)
+    low, high = (chi_square_limit(p, 16) / 16 for p in (0.0005, 0.9995))
     curve = results.curves[1, 0, :, CURVES.index("nees_heading")]
     for at in (35.0, 95.0):
         assert low < curve[:, np.searchsorted(results.time_s, at)].mean() < high
@@ -369,9 +369,9 @@ def test_the_truth_is_honest_and_the_other_is_not(tmp_path):
 
 def test_mean_interval_is_students():
     x = np.random.default_rng(1).normal(3.0, 2.0, 12)
-    low, high = stats.t.interval(0.9, 11, x.mean(), stats.sem(x))
-    assert mean_interval(x, 0.9) == pytest.approx((x.mean(), low, high), rel=1e-12)
-    assert mean_interval([*x, np.nan], 0.9) == mean_interval(x, 0.9)
+    low, high = stats.t.interval(0.95, 11, x.mean(), stats.sem(x))
+    assert mean_interval(x) == pytest.approx((x.mean(), low, high), rel=1e-12)
+    assert mean_interval([*x, np.nan]) == mean_interval(x)
     assert np.isnan(mean_interval([])).all() and mean_interval([2.0])[0] == 2.0 and np.isnan(mean_interval([2.0])[1])
 
 
@@ -415,10 +415,10 @@ def test_pairs_tell_more_than_two_intervals():
         ratio_interval(a, b[:5])
 
 
-def test_chi_square_band_is_that_of_the_mean():
+def test_the_range_of_chi_square_is_that_of_the_mean():
     rng = np.random.default_rng(4)
     means = (rng.normal(size=(20_000, 10, 3)) ** 2).mean(axis=(1, 2))
-    low, high = chi_square_band(10, 3)
+    low, high = chi_square_range(30)
     # sd of a share of 2.5 % in 20 000: 0.11 %
     assert np.mean(means < low) == pytest.approx(0.025, abs=0.005) and np.mean(means > high) == pytest.approx(
         0.025, abs=0.005

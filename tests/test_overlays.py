@@ -14,7 +14,7 @@ from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.io.tracks.table import read_track
 from navfilter.report.plan_view import MOST_TILES, TILE, _tile, chart_of, check_tiles, draw_plan, plan_view
-from navfilter.report.report import write_report
+from navfilter.report.report import render_report
 from navfilter.report.run_tables import headline_rows
 
 
@@ -82,8 +82,7 @@ def test_a_report_says_what_the_tiles_hold(tiles, tmp_path):
     far.mkdir(parents=True)
     (far / "0.png").write_bytes(picture(200))
     for path, words in ((tiles, "from the tiles given"), (tmp_path, "nothing of this place is in the tiles given")):
-        write_report({"smoothed": tracks["smoothed"]}, mission, tmp_path / "report.html", tiles=path)
-        assert f"Chart: {words}." in (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert f"Chart: {words}." in render_report({"smoothed": tracks["smoothed"]}, mission, tiles=path)
 
 
 def test_degrees_are_written_whole():
@@ -148,7 +147,7 @@ def test_without_a_truth_no_table_of_dashes():
 
 def test_the_command_shows_another_run(tmp_path, monkeypatch):
     shown = []
-    monkeypatch.setattr("navfilter.report.report.write_report", lambda *given: shown.append(list(given[5])))
+    monkeypatch.setattr("navfilter.report.report.render_report", lambda *given: shown.append(list(given[4])) or "")
     mission, tracks = small_run()
     mission.save(tmp_path / "m.npz")
     write_vehicle(tracks["forward"].vehicle, tmp_path / "vehicle.toml")

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from navfilter.io.write import labelled
+from navfilter.io.write import labelled, write_text
 from navfilter.playback.replay import replay
 from navfilter.report.plan_view import _tile
-from navfilter.report.report import write_report
+from navfilter.report.report import render_report
 from navfilter.simulation.scenarios import simulate_scenario
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not there: pip install selenium")
@@ -44,7 +44,7 @@ def report(tmp_path_factory):
         mission, name=f"dive {NASTY}", streams=streams, notes=(f"gps: {NASTY}",), epoch_utc_s=NOON_S
     )
     tracks = labelled(replay(vehicle, mission, smooth=True))
-    return write_report(tracks, mission, tmp_path_factory.mktemp("report") / "report.html")
+    return write_text(render_report(tracks, mission), tmp_path_factory.mktemp("report") / "report.html")
 
 
 def browser(width, scripts=True):
@@ -241,7 +241,8 @@ def overlaid(tmp_path_factory):
         file = folder / "tiles" / str(zoom) / str(column) / f"{row}.png"
         file.parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (256, 256), (200, 220, 240)).save(file)
-    report = write_report(tracks, mission, folder / "report.html", beside={"other": other}, tiles=folder / "tiles")
+    page = render_report(tracks, mission, beside={"other": other}, tiles=folder / "tiles")
+    report = write_text(page, folder / "report.html")
     with wide(report) as driver:
         yield driver
 

@@ -27,7 +27,7 @@ from navfilter.simulation.presets import (
     tactical_imu,
     tcm2_compass,
 )
-from navfilter.simulation.scenarios import SCENARIOS, demo_mission, simulate_scenario
+from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
 
 DEG = math.pi / 180.0
@@ -494,7 +494,7 @@ def test_scenarios_fill_their_time_with_sound_streams(name):
 
 
 def test_demo_has_what_it_promises():
-    vehicle, mission = demo_mission(1)
+    vehicle, mission = simulate_scenario("demo", 1)
     assert mission.duration_s == pytest.approx(3600.0)
     gaps = np.diff(mission.streams["dvl"].time_s)
     assert np.sort(gaps)[-3:] == pytest.approx([30.25, 60.25, 180.25], abs=0.3)

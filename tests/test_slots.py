@@ -210,9 +210,9 @@ def test_bars_after_a_change():
 
 
 def test_pass_and_miss_a_row():
-    good = Bar("forward", 120.0, 520.0, "anees_heading", "oracle", 0.5, 1.6, 1.6, 1.2, 2.0)
+    good = Bar("arma", "forward", 120.0, 520.0, "anees_heading", "oracle", 1.6, 1.2, 2.0, 50, 0.5, 1.6)
     bad = replace(good, track="smoothed", value=1.61)
-    share = Bar("forward", 120.0, 520.0, "beyond_heading", "", 0.0, 0.015, 0.02, np.nan, np.nan)
+    share = Bar("arma", "forward", 120.0, 520.0, "beyond_heading", "", 0.02, np.nan, np.nan, 50, 0.0, 0.015)
     assert good.met and not bad.met and not replace(good, value=0.49).met and not share.met
     text = bar_table([good, bad, share], ("forward", "smoothed")).splitlines()
     assert text[0] == f"bars for {judging.JUDGED}: 1 of 3 met"

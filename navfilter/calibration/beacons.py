@@ -6,8 +6,8 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Ints
 from navfilter.kernels import strapdown
 from navfilter.models.mission import Mission
 from navfilter.models.sensors.ranges import Range
@@ -78,7 +78,7 @@ def locate_beacons(vehicle: Vehicle, mission: Mission, name: str) -> Range:
     return dataclasses.replace(ranges, beacon_sd_m=sd)
 
 
-def _heard(mission: Mission, name: str, ranges: Range, number: int) -> NDArray[np.int64]:
+def _heard(mission: Mission, name: str, ranges: Range, number: int) -> Ints:
     """Rows of the stream that are ranges to this beacon."""
     readings = [ranges.read(row) for row in mission.stream(name).value]
     rows = np.flatnonzero([reading is not None and int(reading[1]) == number for reading in readings])
@@ -91,7 +91,7 @@ def _heard(mission: Mission, name: str, ranges: Range, number: int) -> NDArray[n
 
 
 def _one(
-    vehicle: Vehicle, mission: Mission, name: str, number: int, alone: Track, rows: NDArray[np.int64]
+    vehicle: Vehicle, mission: Mission, name: str, number: int, alone: Track, rows: Ints
 ) -> tuple[tuple[float, float, float], float]:
     """Place of one beacon, and the larger of its horizontal sd."""
     ranges: Range = vehicle.sensors[name]  # type: ignore[assignment]

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.calibration.estimate import AROUND, Estimate, estimate
 from navfilter.calibration.lights import check_limits, lit
@@ -16,7 +15,7 @@ from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, d
 from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
 from navfilter.check.units_text import amount
 from navfilter.foundation.arguments import needs
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.display import Shown
 from navfilter.foundation.quoting import json_value
 from navfilter.models.error_models import White
@@ -214,8 +213,8 @@ def calibrate(
     wide = opened(vehicle, kinds, missions)
     _check(missions, each, wide)
     tell = report or (lambda text: None)
-    cut = [stretches_of(vehicle, mission) for mission in missions]
-    result = _calibrated(vehicle, wide, missions, cut, each, tell)
+    asked = _Asked(vehicle, missions, [stretches_of(vehicle, mission) for mission in missions], each, tell)
+    result = asked.calibrated(wide)
     far = [one for one in result.found if one.told and abs(one.value - one.before) > FAR * one.before_sd]
     if not far:
         return result
@@ -224,7 +223,7 @@ def calibrate(
     sure = described(wide, [one._replace(sd=0.0) for one in constants_of(wide, each) if one.name in names])
     if not constants_of(sure, each):
         return result
-    other = _calibrated(vehicle, sure, missions, cut, each, tell)
+    other = asked.calibrated(sure)
     if not other.kept or (result.kept and _loss(other) > _loss(result)):
         return result
     order = {one.name: i for i, one in enumerate(result.found)}
@@ -272,29 +271,6 @@ def _loss(result: Calibration) -> float:
     return result.after.cost if math.isnan(result.after.rms_m) else result.after.rms_m
 
 
-def _calibrated(
-    vehicle: Vehicle,
-    wide: Vehicle,
-    missions: Sequence[Mission],
-    cut: Sequence[Stretches],
-    each: Collection[str],
-    tell: Callable[[str], None],
-) -> Calibration:
-    """Estimate and test the constants that `wide` is unsure of."""
-    whole, first, wide = _whole(wide, vehicle, missions, each, tell)
-    told = whole.told(UNTOLD)
-    if not told.any():
-        return _result(vehicle, wide, whole, first, _Folds(np.zeros(len(told))), 1.0)
-    folds = _folds(vehicle, wide, missions, cut, whole, 1.0, each, tell)
-    factor = float(np.mean((folds.scatter / whole.sd)[told] ** 2))
-    if factor > TOO_MUCH:
-        tell("again, with less weight")
-        again = estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, 1.0 / factor, each)
-        whole = _no_surer(again, whole, range(len(whole.value)))
-        folds = _folds(vehicle, wide, missions, cut, whole, 1.0 / factor, each, tell)
-    return _result(vehicle, wide, whole, first, folds, factor)
-
-
 @dataclass(frozen=True)
 class _Folds:
     """The parts, each withheld once: scatter of the constants, and predictions by what they were and are."""
@@ -312,54 +288,77 @@ class _Folds:
         return sum(gained) > 0.0 and parts >= MOST * len(gained)
 
 
-def _folds(
-    vehicle: Vehicle,
-    wide: Vehicle,
-    missions: Sequence[Mission],
-    cut: Sequence[Stretches],
-    whole: Estimate,
-    weight: float,
-    each: Collection[str],
-    tell: Callable[[str], None],
-) -> _Folds:
-    values: list[Array] = []
-    whole_runs = [replay(vehicle, mission, output_rate_hz=1.0) for mission in missions]
-    before: list[Prediction] = []
-    after: list[Prediction] = []
-    for part in range(FOLDS):
-        tell(f"without part {part + 1} of {FOLDS}")
-        rest = [s.without(mission, part) for s, mission in zip(cut, missions, strict=True)]
-        fold = estimate(wide, rest, whole.value, 2.0 * AROUND * whole.sd, FEW, weight, each)
-        values.append(fold.value)
-        of_fold = described(wide, _written(fold.constants, fold.value, fold.sd, whole.told(UNTOLD)))
-        pairs = [
-            [predicted(vehicle, mission, s, part, run), predicted(of_fold, mission, s, part)]
-            for mission, s, run in zip(missions, cut, whole_runs, strict=True)
-        ]
-        for all_of, found in zip((before, after), zip(*pairs, strict=True), strict=True):
-            one = together([prediction for prediction in found if prediction is not None])
-            if one is not None:
-                all_of.append(one)
-    scatter = np.sqrt((FOLDS - 1) / FOLDS * np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0))
-    scatter = np.maximum(scatter, whole.between)
-    return _Folds(scatter, tuple(before), tuple(after)) if len(before) == len(after) else _Folds(scatter)
+@dataclass(frozen=True)
+class _Asked:
+    """What `calibrate` was asked: the vehicle as it was, missions and how they are cut, constants that are others in
+    each, and who is told what is done.
+    """
 
+    vehicle: Vehicle
+    missions: Sequence[Mission]
+    cut: Sequence[Stretches]
+    each: Collection[str]
+    tell: Callable[[str], None]
 
-def _whole(
-    wide: Vehicle, before: Vehicle, missions: Sequence[Mission], each: Collection[str], tell: Callable[[str], None]
-) -> tuple[Estimate, Estimate, Vehicle]:
-    """The estimate from everything, without the constants that were opened in vain; the one with them; the vehicle."""
-    count = len(missions)
-    first = estimate(wide, missions, each=each, report=lambda run: tell(f"all of it, step {run // count + 1}"))
-    shown = first.shown(UNTOLD)
-    narrow = closed(wide, before, [one for one, is_shown in zip(first.constants, shown, strict=True) if not is_shown])
-    left = [one.name for one in constants_of(narrow, each)]
-    if len(left) == len(first.constants) or not left:
-        return first, first, wide
-    rows = [i for i, one in enumerate(first.constants) if one.name in left]
-    tell("again, without what these missions do not tell")
-    whole = estimate(narrow, missions, first.value[rows], AROUND * first.sd[rows], each=each)
-    return _no_surer(whole, first, rows), first, narrow
+    def calibrated(self, wide: Vehicle) -> Calibration:
+        """Estimate and test the constants that `wide` is unsure of."""
+        whole, first, wide = self._whole(wide)
+        told = whole.told(UNTOLD)
+        if not told.any():
+            return _result(self.vehicle, wide, whole, first, _Folds(np.zeros(len(told))), 1.0)
+        folds = self._folds(wide, whole, 1.0)
+        factor = float(np.mean((folds.scatter / whole.sd)[told] ** 2))
+        if factor > TOO_MUCH:
+            self.tell("again, with less weight")
+            again = self._again(wide, self.missions, whole, 1.0 / factor)
+            whole = _no_surer(again, whole, range(len(whole.value)))
+            folds = self._folds(wide, whole, 1.0 / factor)
+        return _result(self.vehicle, wide, whole, first, folds, factor)
+
+    def _again(self, wide: Vehicle, missions: Sequence[Mission], whole: Estimate, weight: float) -> Estimate:
+        """An estimate that begins at that from everything."""
+        return estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, weight, self.each)
+
+    def _folds(self, wide: Vehicle, whole: Estimate, weight: float) -> _Folds:
+        values: list[Array] = []
+        whole_runs = [replay(self.vehicle, mission, output_rate_hz=1.0) for mission in self.missions]
+        before: list[Prediction] = []
+        after: list[Prediction] = []
+        for part in range(FOLDS):
+            self.tell(f"without part {part + 1} of {FOLDS}")
+            rest = [s.without(mission, part) for s, mission in zip(self.cut, self.missions, strict=True)]
+            fold = self._again(wide, rest, whole, weight)
+            values.append(fold.value)
+            of_fold = described(wide, _written(fold.constants, fold.value, fold.sd, whole.told(UNTOLD)))
+            pairs = [
+                [predicted(self.vehicle, mission, s, part, run), predicted(of_fold, mission, s, part)]
+                for mission, s, run in zip(self.missions, self.cut, whole_runs, strict=True)
+            ]
+            for all_of, found in zip((before, after), zip(*pairs, strict=True), strict=True):
+                one = together([prediction for prediction in found if prediction is not None])
+                if one is not None:
+                    all_of.append(one)
+        scatter = np.sqrt((FOLDS - 1) / FOLDS * np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0))
+        scatter = np.maximum(scatter, whole.between)
+        return _Folds(scatter, tuple(before), tuple(after)) if len(before) == len(after) else _Folds(scatter)
+
+    def _whole(self, wide: Vehicle) -> tuple[Estimate, Estimate, Vehicle]:
+        """The estimate from everything, without the constants that were opened in vain; the one with them; the
+        vehicle.
+        """
+        count, tell = len(self.missions), self.tell
+        first = estimate(
+            wide, self.missions, each=self.each, report=lambda run: tell(f"all of it, step {run // count + 1}")
+        )
+        shown = zip(first.constants, first.shown(UNTOLD), strict=True)
+        narrow = closed(wide, self.vehicle, [one for one, is_shown in shown if not is_shown])
+        left = [one.name for one in constants_of(narrow, self.each)]
+        if len(left) == len(first.constants) or not left:
+            return first, first, wide
+        rows = [i for i, one in enumerate(first.constants) if one.name in left]
+        tell("again, without what these missions do not tell")
+        whole = estimate(narrow, self.missions, first.value[rows], AROUND * first.sd[rows], each=self.each)
+        return _no_surer(whole, first, rows), first, narrow
 
 
 def _no_surer(whole: Estimate, first: Estimate, rows: Sequence[int]) -> Estimate:
@@ -370,7 +369,7 @@ def _no_surer(whole: Estimate, first: Estimate, rows: Sequence[int]) -> Estimate
     return replace(whole, covariance=whole.covariance * np.outer(wider, wider))
 
 
-def _written(constants: Sequence[Constant], value: Array, sd: Array, told: NDArray[np.bool_]) -> tuple[Constant, ...]:
+def _written(constants: Sequence[Constant], value: Array, sd: Array, told: Mask) -> tuple[Constant, ...]:
     """Constants as they go into a file: those that are not told stay as described."""
     rows = zip(constants, value, sd, told, strict=True)
     return tuple(one._replace(value=float(v), sd=min(float(s), one.sd)) if t else one for one, v, s, t in rows)
@@ -393,7 +392,7 @@ def _result(
     return Calibration(listed, new, kept, *predictions, factor, whole.settled, whole.rounds, constants)
 
 
-def _listed(of: Estimate, sd: Array, scatter: Array, told: NDArray[np.bool_]) -> dict[str, Found]:
+def _listed(of: Estimate, sd: Array, scatter: Array, told: Mask) -> dict[str, Found]:
     rows = zip(of.constants, of.value.tolist(), sd.tolist(), scatter.tolist(), told.tolist(), strict=True)
     return {one.name: Found(one.name, one.unit, one.part, one.value, one.sd, *numbers) for one, *numbers in rows}
 

@@ -6,10 +6,9 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.calibration.parts import Constant, constants_of, described
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
@@ -61,11 +60,11 @@ class Estimate:
         """Standard deviations, shape (k,): of the likelihood, and of what has not settled."""
         return np.sqrt(np.diag(self.covariance) + self.unsettled**2)
 
-    def told(self, untold: float) -> NDArray[np.bool_]:
+    def told(self, untold: float) -> Mask:
         """Which of them the missions have told: less than this share of the prior's sd is left."""
         return self.sd <= untold * np.array([one.sd for one in self.constants])
 
-    def shown(self, untold: float) -> NDArray[np.bool_]:
+    def shown(self, untold: float) -> Mask:
         """The same, and of which they say something, although it has not settled."""
         return np.sqrt(np.diag(self.covariance)) <= untold * np.array([one.sd for one in self.constants])
 

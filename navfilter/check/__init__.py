@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
 
 from navfilter.check.finding import Finding, Severity, by_severity
 from navfilter.check.magnetic_north import north_findings
@@ -15,9 +14,7 @@ from navfilter.check.motion import compared_findings, motion_findings
 from navfilter.check.streams import stream_findings
 from navfilter.check.time_units import clock_findings
 from navfilter.models.mission import Mission
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 __all__ = ["Finding", "Severity", "check_mission", "data_findings", "report_text"]
 

@@ -3,40 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from navfilter.check.clock_offsets import far_finding, late_path_by, noisy_stretch_finding
+from navfilter.check.clock_offsets import (
+    LEAST_S,
+    RATE,
+    SURER,
+    ClockFit,
+    far_finding,
+    late_path_by,
+    noisy_stretch_finding,
+)
 from navfilter.check.course_fit import (
     MOST_DELAY_S,
     CourseFit,
     Paths,
     axes_of_the_earth,
     course_fit,
+    displacement,
     paths_of,
     places_of,
+    without_gaps,
 )
 from navfilter.check.finding import Finding
-from navfilter.check.series import heading_of, middle, unwrapped, vector
+from navfilter.check.series import factors, heading_of, integral, middle, unwrapped, vector, window_edges
+from navfilter.foundation.arrays import Array, Complex, Mask
 from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
-from navfilter.models.mission import Array, Mission, Stream
+from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.state import matrix_from_euler
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
-
-
-from collections.abc import Callable
-
-from numpy.typing import NDArray
-
-from navfilter.check.clock_offsets import LEAST_S, RATE, SURER, ClockFit
-from navfilter.check.course_fit import Complex, displacement, without_gaps
-from navfilter.check.series import factors, integral, window_edges
+from navfilter.models.vehicle import Vehicle
 
 #: Standard deviations from which on a difference is no chance: of ten blocks three in a thousand (Student's t).
 SURE = 4.0
@@ -44,7 +44,6 @@ SURE = 4.0
 GRAVE_DEG = 20.0
 #: Beyond so many a direction is wrong, where it is beyond what vehicle.toml says as well.
 WRONG = 5.0
-#: What a finding is about that vehicles of this kind may well do.
 #: Angles apart by less are the same for these data [deg].
 LITTLE_DEG = 3.0
 #: A velocity that leaves more of the positions' way unexplained does not follow them [1].
@@ -418,7 +417,7 @@ def _fit(
     return known, ClockFit(late_s, float(spread[0]), rate, float(spread[1]), unexplained(late_s, rate), without)
 
 
-def _kept(off: Complex) -> NDArray[np.bool_]:
+def _kept(off: Complex) -> Mask:
     size = np.abs(off)
     return np.asarray(size <= OUTLIER * float(np.median(size)))
 

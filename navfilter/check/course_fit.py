@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.check.series import factors, integral, jackknife, window_edges
-from navfilter.models.mission import Array, Mission
+from navfilter.foundation.arrays import Array, Complex, Mask
+from navfilter.models.mission import Mission
 
-Complex = NDArray[np.complex128]
 EARTH_RADIUS_M = 6.371e6
 #: Latitudes beyond are ice; more longitudes than latitudes lie beyond [rad].
 POLAR = math.radians(75.0)
@@ -201,9 +200,7 @@ def _relative(way: Complex, wanted: Complex, ratio: complex) -> Array:
     return np.array([own.real, own.imag])
 
 
-def _sideways(
-    paths: Paths, wanted: Complex, kept: NDArray[np.bool_], ratio: complex, late_s: float
-) -> tuple[float, float]:
+def _sideways(paths: Paths, wanted: Complex, kept: Mask, ratio: complex, late_s: float) -> tuple[float, float]:
     """Factor of the sideways velocity that fits the positions best beside the forward one, with its sd.
 
     In turns a delay and a lever arm move the positions sideways as well, a mounting always: they are fitted beside it.

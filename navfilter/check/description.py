@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,17 +14,15 @@ from navfilter.filter.state_layout import Layout
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.learning.open_loop_series import TAKEN_AFTER_S
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.models import error_models
 from navfilter.models.error_models import Arma, Block, Cycle, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.parameters import Parameter, constant_parameters
 from navfilter.models.sensors import Sensor
-from navfilter.models.vehicle import DEAD_RECKONING
+from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
 from navfilter.models.window_limits import least_window
 from navfilter.navigation.navigator import Navigator
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
 
 _ORDERS = {1: "first", 2: "second", 3: "third", 4: "fourth"}
 _COLUMN = 13
@@ -304,13 +302,9 @@ def zero_frequency(block: Block, period_s: float) -> float:
     >>> round(zero_frequency(White(density=0.3).block(0.1), 0.1), 9)
     0.3
     """
-    if not block.size:
-        return math.sqrt(block.r * period_s)
-    radius = float(np.abs(np.linalg.eigvals(block.Phi)).max())
-    if radius > 1.0 - 1e-12:
+    if block.size and float(np.abs(np.linalg.eigvals(block.Phi)).max()) > 1.0 - 1e-12:
         return math.inf
-    gain = np.linalg.solve((np.eye(block.size) - block.Phi).T, block.C)
-    return math.sqrt(max(float(gain @ block.Q @ gain) + block.r, 0.0) * period_s)
+    return math.sqrt(max(error_models.block_level(block), 0.0) * period_s)
 
 
 def _low_frequencies(block: Block, unit: str, period_s: float) -> Iterator[str]:

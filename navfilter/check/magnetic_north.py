@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +13,7 @@ from navfilter.check.finding import Finding, Severity
 from navfilter.models.magnetic import BLACKOUT_NT, CAUTION_NT, North, believable, north
 from navfilter.models.mission import Mission
 from navfilter.models.state import wrap
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 #: A kilometre on the Earth [deg].
 KM_DEG = 0.009

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navfilter.check import shared_motion, vertical
 from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import course_findings
-from navfilter.check.course_fit import POLAR
+from navfilter.check.course_fit import EARTH_RADIUS_M, POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import (
     MOST_WINDOWS,
@@ -28,11 +27,8 @@ from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.foundation.display import counted
 from navfilter.models.mission import Array, Mission, Stream
 from navfilter.models.state import wrap
+from navfilter.models.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
-
-EARTH_RADIUS_M = 6.371e6
 #: Correlation below which two sensors have too little in common to be judged.
 LITTLE = 0.5
 #: Delays up to this are looked for [s].

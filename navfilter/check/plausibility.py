@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from navfilter.check.finding import Finding, by_severity
 from navfilter.check.units_text import amount, duration, root_density
@@ -19,9 +19,7 @@ from navfilter.models.learned_arma import LearnedArma, learning_part
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.traits import Plausible
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 _MANY_STATES = 120
 

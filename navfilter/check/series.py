@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navfilter.models.mission import Array, Stream
+from navfilter.foundation.arrays import Array, Ints
+from navfilter.models.mission import Stream
 
 
 def vector(stream: Stream, first: str) -> Array:
@@ -50,7 +50,7 @@ def correlation(a: Array, b: Array) -> tuple[float, float]:
     return ab / math.sqrt(aa * bb), ab / aa
 
 
-def jackknife(estimate: Callable[[NDArray[np.int64]], Array], rows: int) -> tuple[Array, Array]:
+def jackknife(estimate: Callable[[Ints], Array], rows: int) -> tuple[Array, Array]:
     """An estimate from all rows, and its standard deviations by leaving out each tenth in turn (Tukey, 1958).
 
     Rows that follow each other may depend on each other; tenths hardly do.
@@ -64,7 +64,7 @@ def jackknife(estimate: Callable[[NDArray[np.int64]], Array], rows: int) -> tupl
 def factors(columns: Array, goal: Array) -> tuple[Array, Array]:
     """Factors of some columns that give a series by least squares, and their standard deviations (`jackknife`)."""
 
-    def of(rows: NDArray[np.int64]) -> Array:
+    def of(rows: Ints) -> Array:
         return np.asarray(np.linalg.lstsq(columns[rows], goal[rows], rcond=None)[0], dtype=np.float64)
 
     return jackknife(of, goal.size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from navfilter.check.felt_velocity import felt_clock
 from navfilter.check.finding import Finding
 from navfilter.check.series import Series, heading_of, integral, jackknife, unwrapped, vector, window_edges
 from navfilter.models.mission import Array, Mission, Stream
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 #: Clocks are compared over windows of this length, speeds over longer ones [s].
 TURN_S, WAY_S = 2.0, 4.0

@@ -5,15 +5,12 @@ another clock.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navfilter.check.finding import Finding
 from navfilter.models.mission import Mission, Stream
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 #: Units of stamps that are mistaken for seconds: how many of them make one.
 _PER_SECOND = {"ms": 1e3, "us": 1e6, "ns": 1e9}

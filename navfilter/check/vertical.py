@@ -7,7 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from navfilter.check.series import correlation, factors, integral, vector, windo
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.models.error_models import stated_variance
 from navfilter.models.mission import Array, Mission, Stream
-
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
+from navfilter.models.vehicle import Vehicle
 
 #: A depth gauge may be off by so much at the surface, and waves go as high [m].
 _SURFACE_M = 2.0

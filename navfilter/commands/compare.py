@@ -223,8 +223,8 @@ def print_comparison(comparison: Comparison, mission: Mission) -> None:
 def write_results(comparison: Comparison, tracks: Tracks, mission: Mission, folder: Path, quiet: bool) -> None:
     """Write report.html, comparison.csv and summary.json."""
     from navfilter.evaluation.comparison import compare
-    from navfilter.io.write import write_json
-    from navfilter.report.comparison_page import adopted_models, write_comparison
+    from navfilter.io.write import write_json, write_text
+    from navfilter.report.comparison_page import adopted_models, render_comparison
 
     comparison.to_frame().to_csv(folder / "comparison.csv", index_label="model")
     whole = compare(tracks, mission.truth, windows=mission.windows, baseline=comparison.baseline)
@@ -238,4 +238,4 @@ def write_results(comparison: Comparison, tracks: Tracks, mission: Mission, fold
     }
     write_json(summary, folder / "summary.json")
     with console.figures_bar(quiet) as bar:
-        write_comparison(comparison, tracks, mission, folder / "report.html", bar.update)
+        write_text(render_comparison(comparison, tracks, mission, bar.update), folder / "report.html")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from navfilter.commands import console, mission_part
+from navfilter.io.tracks.formats import FORMATS, is_nowhere
 
 if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
@@ -21,16 +22,6 @@ if TYPE_CHECKING:
     from navfilter.playback.held_out import Withheld
     from navfilter.track.track import Track
 
-
-from typing import TYPE_CHECKING
-
-from navfilter.io.tracks.formats import FORMATS, is_nowhere
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from navfilter.models.mission import Mission
-    from navfilter.track.track import Track
 
 #: Exit codes of a run whose track is not to be trusted, and of one that nothing in the mission can judge.
 NOT_TRUSTED, NOT_JUDGED = 1, 3
@@ -302,13 +293,14 @@ def _write(
     report = folder / "report.html"
     if drawn:
         from navfilter.io.tracks.table import read_track
-        from navfilter.report.report import write_report
+        from navfilter.io.write import write_text
+        from navfilter.report.report import render_report
 
         others = [read_track(path, result.vehicle) for path in getattr(options, "beside", ())]
         beside = {_unlike(other.label, tracks): other for other in others}
         tiles = getattr(options, "tiles", None)
         with console.figures_bar(options.quiet) as bar:
-            write_report(tracks, mission, report, bar.update, assessment, beside, tiles)
+            write_text(render_report(tracks, mission, bar.update, assessment, beside, tiles), report)
     else:
         report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:

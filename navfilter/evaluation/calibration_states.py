@@ -10,6 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from navfilter.calibration.lights import Light, check_limits, lit
 from navfilter.calibration.parts import constants_of
+from navfilter.check.course import part_of
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
 from navfilter.models.during import instrument, shared
@@ -124,10 +125,7 @@ def _cure(one: Constant, vehicle: Any) -> str:
     owner, _, what = one.name.rpartition(".")
     part = "drive" if not one.owner else "sensors"
     table = f"[{part}.{owner}]" if owner else f"[{part}]"
-    sensor: Any = vehicle.sensors.get(owner) or {
-        "velocity": vehicle.drive.velocity_sensor,
-        "attitude": vehicle.drive.compass,
-    }.get(owner)
+    sensor = part_of(vehicle, owner)
     if sensor is not None and what == "time_offset":
         return (
             f"Set time_offset_s = {sensor.time_offset_s + one.value:.3g} in {table} of vehicle.toml, or widen its sd."

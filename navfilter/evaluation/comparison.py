@@ -22,7 +22,6 @@ from navfilter.track.track import Track, Tracks
 
 if TYPE_CHECKING:
     import pandas as pd
-
 Windows = tuple[tuple[float, float], ...]
 
 #: Rows of the table that need a truth: name, key, format, whether a ratio to the baseline makes sense.

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.arguments import within
-from navfilter.foundation.arrays import Array
-from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.foundation.arrays import Array, Mask
+from navfilter.foundation.chi_square import chi_square_range
 from navfilter.models.mission import Stream
 from navfilter.models.sensors import Sensor, traits
 from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
@@ -72,7 +71,7 @@ def _consistency(track: Track, truth: Stream | None, windows: Windows) -> dict[s
         result[name] = {
             "mean": float(np.nanmean(value)),
             "n": n,
-            "band": chi_square_range(n * z.shape[1]),
+            "band": tuple(map(float, chi_square_range(n * z.shape[1]))),
             "outside_3_sigma": float(np.mean(np.abs(z[np.isfinite(z)]) > 3.0)),
         }
     return result
@@ -92,12 +91,6 @@ def independent(z: Array, most: int = 4000) -> float:
     r = np.fft.irfft(np.abs(np.fft.rfft(z, 2 * len(z))) ** 2)[: len(z)] / power
     ends = np.flatnonzero(r <= 0.0)
     return max(1.0, len(z) / (1.0 + 2.0 * float(np.sum(r[1 : ends[0] if ends.size else None] ** 2))))
-
-
-def chi_square_range(freedom: float) -> tuple[float, float]:
-    """Where 95 % of the means of chi-square per degree of freedom lie."""
-    low, high = (chi_square_limit(p, freedom) / freedom for p in (0.025, 0.975))
-    return float(low), float(high)
 
 
 def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str, Any]:
@@ -126,7 +119,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
             "largest_acf": largest,
         }
     return {
-        "band": chi_square_range(freedom) if freedom > 0 else None,
+        "band": tuple(map(float, chi_square_range(freedom))) if freedom > 0 else None,
         "outside_3_sigma": float(np.mean(z > 3.0)) if z.size else None,
         "unit": unit,
         "compared": int(together.sum()),
@@ -134,7 +127,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
     }
 
 
-def innovation_series(residuals: Residuals, axis: int, rows: NDArray[np.bool_] | None = None) -> Array:
+def innovation_series(residuals: Residuals, axis: int, rows: Mask | None = None) -> Array:
     """Innovations of one axis over their predicted sd, on the ticks of the sensor; NaN where a reading is missing or
     not among `rows`.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import Arma, Cycle, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
-from navfilter.models.interpretation import Component, number, stationary_parts
+from navfilter.models.interpretation import Component, number, seconds_text, stationary_parts
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.timeseries.model import ArmaModel
@@ -238,20 +238,16 @@ def _words(part: Component, scale: Scale) -> str:
         period_s = 1.0 / part.freq_hz
         if period_s * scale.rate_hz < SHORTEST_PERIOD:
             return f"alternates from reading to reading{f' by{size}' if size else ''}"
-        return f"swings with {_seconds(period_s)}{f' by{size}' if size else ''}"
+        return f"swings with {seconds_text(period_s)}{f' by{size}' if size else ''}"
     if part.kind in ("gauss-markov", "second order"):
-        return f"slow error{size} over {_seconds(part.tau_s)}"
+        return f"slow error{size} over {seconds_text(part.tau_s)}"
     if part.kind == "short":
-        return f"short error{size} over {_seconds(part.tau_s)}"
+        return f"short error{size} over {seconds_text(part.tau_s)}"
     return f"{'white' if part.kind == 'white' else 'short error'}{size}"
 
 
 def _size(sd: float, scale: Scale) -> str:
     return f"{number(scale.factor * sd, 2)} {scale.unit}"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.0f} s" if value >= 10.0 else f"{number(value, 2)} s"
 
 
 def density_of(model: ErrorModel, freq_hz: Array, rate_hz: float) -> Array:

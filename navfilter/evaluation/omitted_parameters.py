@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.calibration.estimate import said
 from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, kind_of, opened
@@ -23,7 +22,7 @@ from navfilter.check.course import WRONG, part_of, stated_direction
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.units_text import amount
 from navfilter.filter.records import OUTCOMES, Residuals
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.learning.batch import learning_sensors
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset
@@ -364,7 +363,7 @@ def _gain(before: Track, after: Track) -> float:
     return total
 
 
-def _judged(r: Residuals) -> NDArray[np.bool_]:
+def _judged(r: Residuals) -> Mask:
     return r.used | (r.outcome == OUTCOMES.index("rejected"))
 
 

@@ -7,14 +7,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from navfilter.filter.events import Event
 from navfilter.filter.model_change import Change
 from navfilter.filter.sensor_channel import Channel
-
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 
 class Inflate(NamedTuple):

@@ -8,9 +8,9 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.state_layout import Group
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import delayed_state
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
@@ -18,8 +18,7 @@ from navfilter.models.fault_bias import currents, deviations, has_offset, offset
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
+Places = Ints
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
 #: and less often, for an estimate varies less than what it estimates.
 MOST_SDS = 4.0

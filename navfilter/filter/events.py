@@ -8,12 +8,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from navfilter.filter.sensor_channel import Channel
-
-Array = NDArray[np.float64]
+from navfilter.foundation.arrays import Array
 
 
 class Outcome(NamedTuple):

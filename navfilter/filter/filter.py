@@ -11,7 +11,7 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.filter import actions
 from navfilter.filter.actions import Action
@@ -31,6 +31,7 @@ from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import batch, consistency, fault_bank, kalman, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
@@ -43,7 +44,6 @@ from navfilter.models.start import Start
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 
 
@@ -645,8 +645,8 @@ TRACED = {strapdown.imu_steps: strapdown.imu_traced, strapdown.dead_reckoning_st
 
 
 def shared(
-    channels: Sequence[Channel], drive: Mechanisation, folds: NDArray[np.int64], remembered: int = 0, more: int = 0
-) -> tuple[Array, NDArray[np.int64], Array]:
+    channels: Sequence[Channel], drive: Mechanisation, folds: Ints, remembered: int = 0, more: int = 0
+) -> tuple[Array, Ints, Array]:
     """Let all channels work in one array.
 
     Parameters

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.imu_intake import ImuIntakeMemory
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel
 
-Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted, beside what the monitor counts.
 COUNTED = (

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import strapdown
 from navfilter.models.mechanisation import Mechanisation
-
-Array = NDArray[np.float64]
 
 
 def samples_of(time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> Array:
@@ -229,7 +228,7 @@ class ImuIntake:
 
     def _mend(self, samples: Array, last: Callable[[], Array]) -> list[tuple[Array, Array]]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
-        possible: NDArray[np.bool_] = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
+        possible: Mask = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
         keep, absent = np.zeros((2, len(samples)), bool)
         before, shift = self.memory.before_s, 0.0
         for i, stamp in enumerate(samples[:, 0].tolist()):
@@ -298,7 +297,7 @@ class ImuIntake:
         # what was dropped until here took its time: it counts as a gap
         return before + self.memory.back_count * self._period_s - stamp
 
-    def _repair(self, values: Array, bad: NDArray[np.bool_], last: Callable[[], Array]) -> None:
+    def _repair(self, values: Array, bad: Mask, last: Callable[[], Array]) -> None:
         """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle
         that keeps still.
         """

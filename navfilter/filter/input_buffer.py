@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement
+from navfilter.foundation.arrays import Array, Ints, Mask
 
-Array = NDArray[np.float64]
 #: Rows of a piece.
 PIECE = 2048
 #: Columns of what is kept of a reading: its time, the number of its sensor, whether it was frozen, and the same; how
@@ -131,10 +130,10 @@ class InputBuffer:
     def extend(
         self,
         samples: Array,
-        before: NDArray[np.int64],
+        before: Ints,
         time_s: Array,
-        sensor: NDArray[np.int64],
-        same: NDArray[np.bool_],
+        sensor: Ints,
+        same: Mask,
         values: Mapping[int, Array | Sequence[Array]],
         sds: Sequence[Any],
     ) -> None:

@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.state_layout import Group, Layout
+from navfilter.foundation.arrays import Array
 from navfilter.models.during import shared
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, joined_block
 from navfilter.models.learned_arma import LearnedArma, register_block, register_labels
 from navfilter.models.vehicle import Vehicle
 from navfilter.timeseries.model import ArmaModel
 
-Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.filter.actions import Action
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -18,12 +17,12 @@ from navfilter.filter.model_change import Adoption
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.start import Start
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 #: Actions that end with an answer.
 Actions = Generator[Action, None, Any]
 
@@ -44,7 +43,7 @@ class FilterState(Protocol):
     drive_output: Array
     bench: Array
     bank: Array
-    plan: NDArray[np.int64]
+    plan: Ints
 
     prepared: list[Adoption]
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import CHANGE, Tape
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import kalman
 
-Array = NDArray[np.float64]
 #: So many rows are given at a time: their covariances are to stay in the second cache.
 ROWS = 64
 

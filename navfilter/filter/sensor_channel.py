@@ -6,23 +6,21 @@ import ctypes
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.filter.channel_model import ChannelModel, changes, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, consistency, kalman
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from navfilter.models.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
 MAJORITY = 0.5
 #: The past is kept for a time offset of up to so many standard deviations.
@@ -134,7 +132,7 @@ class Channel:
     def _describe(self, sensor: Sensor, group: Group, variance: Array) -> ChannelModel:
         return ChannelModel.of(sensor, group, variance, (self.kernel, self._delayed), self.constants, self._gates)
 
-    def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
+    def settle(self, bench: Array, begin: int) -> Ints:
         """Work from now on in a part of an array that all channels share.
 
         Parameters

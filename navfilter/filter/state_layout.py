@@ -12,12 +12,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.error_models import Block, block_diagonal
 from navfilter.models.parameters import Parameter, checked
-
-Array = NDArray[np.float64]
 
 
 def output_first(block: Any) -> tuple[Array, Array, Array]:
@@ -69,7 +67,7 @@ class Group:
         return slice(self.start, self.start + self.size)
 
     @cached_property
-    def biases(self) -> tuple[NDArray[np.int64], ...]:
+    def biases(self) -> tuple[Ints, ...]:
         """Of the drive: which states are the bias of each axis."""
         constant = np.diag(self.Phi)[: self.errors] == 1.0
         return tuple(np.flatnonzero(constant & (row != 0.0)) for row in self.C)

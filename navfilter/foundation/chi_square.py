@@ -29,3 +29,15 @@ def chi_square_limit(probability: float, dof: ArrayLike) -> NDArray[np.float64]:
     7.815
     """
     return np.asarray(2.0 * gammaincinv(np.asarray(dof) / 2.0, probability))
+
+
+def chi_square_range(dof: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where 95 % of the means of chi-square per degree of freedom lie: low, high (Bar-Shalom et al., 2001, sec. 5.4).
+
+    Examples
+    --------
+    >>> [round(float(v), 2) for v in chi_square_range(50)]
+    [0.65, 1.43]
+    """
+    freedom = np.asarray(dof)
+    return chi_square_limit(0.025, freedom) / freedom, chi_square_limit(0.975, freedom) / freedom

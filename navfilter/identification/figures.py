@@ -9,19 +9,17 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from navfilter.foundation import utc
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Complex
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification
-from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw, line
-from navfilter.rendering.panels import Band, Line, Panel, Part, Stack
+from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw
+from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Part, Stack, stems
 from navfilter.timeseries.diagnostics import WT_WHITE, acf, pacf
 from navfilter.timeseries.roots import root_sd
 
@@ -60,6 +58,8 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
         f"{found.tests.periodogram_p:.2g})."
     )
     yield "residuals", "Residuals", caption, residual_figure(found, unit)
+    caption = "The same of the residuals, which have none where the model is right."
+    yield "residual_correlation", "Correlation of the residuals", caption, correlation_figure(found.fit.residuals)
     if found.fit.model.p + found.fit.model.q:
         caption = "Poles (crosses) and zeros (circles) with their ranges of two standard deviations."
         yield "poles", "Poles and zeros", caption, pole_figure(found)
@@ -79,27 +79,22 @@ def _labelled(quantity: str, unit: str) -> str:
     return f"{quantity} [{unit}]" if unit else quantity
 
 
-def _seconds(span_s: float) -> tuple[str, float]:
-    return ("h", 1 / 3600) if span_s > 3 * 3600 else ("min", 1 / 60) if span_s > 1200 else ("s", 1.0)
+def _times(found: Identification, count: int, first: int) -> tuple[Array, str]:
+    """Times of so many samples, of which the one of number `first` is the first that was taken, and what they are."""
+    span_s, (zero, since) = count / found.data.rate_hz, utc.axis_from(found.data.begin_s)
+    name, factor = ("h", 1 / 3600) if span_s > 3 * 3600 else ("min", 1 / 60) if span_s > 1200 else ("s", 1.0)
+    time_s = found.data.begin_s - zero + (np.arange(count) - first) / found.data.rate_hz
+    return time_s * factor, f"time{since} [{name}]"
 
 
 def series_figure(found: Identification, unit: str) -> Figure:
     """The record over time, the fitted part shaded."""
-    data = found.data
-    figure = Figure(figsize=(WIDTH_IN, 2.2), layout="constrained")
-    ax = figure.subplots()
-    name, factor = _seconds(data.whole.size / data.rate_hz)
-    shown = data.value.size + data.seasonal_lag
+    data, shown = found.data, found.data.value.size + found.data.seasonal_lag
     first = (data.whole.size - shown) // 2
-    zero, since = utc.axis_from(data.begin_s)
-    time = (data.begin_s - zero + (np.arange(data.whole.size) - first) / data.rate_hz) * factor
-    line(ax, time, data.whole, color=SAMPLE, linewidth=0.7)
-    if shown < data.whole.size:
-        ax.axvspan(time[first], time[first + shown - 1], color="#999999", alpha=0.25, linewidth=0.0)
-    ax.set_xlabel(f"time{since} [{name}]")
-    ax.set_ylabel(_labelled(data.name, unit))
-    ax.margins(x=0.01)
-    return figure
+    time, label = _times(found, data.whole.size, first)
+    fitted = (Mark(time[first], time[first + shown - 1], "fitted", "", GREY),) if shown < data.whole.size else ()
+    panel = Panel(_labelled(data.name, unit), (Line(time, data.whole, "", SAMPLE, width=0.7),))
+    return draw(Stack((panel,), 1.5, fitted, label))
 
 
 def spectrum_figure(found: Identification, unit: str) -> Figure:
@@ -148,29 +143,17 @@ def _order_text(found: Identification) -> str:
 
 
 def correlation_figure(x: Array) -> Figure:
-    """Autocorrelation and partial autocorrelation side by side."""
-    figure = Figure(figsize=(WIDTH_IN, 2.2), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=False)
-    _correlation(left, x, acf, "autocorrelation")
-    _correlation(right, x, pacf, "partial autocorrelation")
-    return figure
-
-
-def _correlation(ax: Axes, x: Array, function: Any, name: str) -> None:
+    """Autocorrelation and partial autocorrelation."""
     lags = min(LAGS, x.size // 4)
-    r = function(x if function is acf else bridged(x), lags)
     limit = 1.959964 / math.sqrt(np.isfinite(x).sum())
-    ax.axhspan(-limit, limit, color="#cccccc", alpha=0.6, linewidth=0.0)
-    ax.vlines(np.arange(1, lags + 1), 0.0, r[1:], color=SAMPLE, linewidth=1.3)
-    ax.axhline(0.0, color="black", linewidth=0.6)
-    ax.set_xlim(0.0, lags + 1.0)
-    top = max(float(np.abs(r[1:]).max()), 2.0 * limit) * 1.1
-    ax.set_ylim(
-        min(float(r[1:].min()) * 1.1, -1.5 * limit),
-        top if r[1:].max() > 0.3 * top else max(r[1:].max() * 1.1, 1.5 * limit),
-    )
-    ax.set_xlabel("lag [samples]")
-    ax.set_title(name)
+    white, panels = Level(-limit, limit, "95 % of white noise"), []
+    for r, name in ((acf(x, lags), "auto-\ncorrelation"), (pacf(bridged(x), lags), "partial auto-\ncorrelation")):
+        low, high = float(r[1:].min()), float(r[1:].max())
+        top = max(float(np.abs(r[1:]).max()), 2.0 * limit) * 1.1
+        limits = min(1.1 * low, -1.5 * limit), top if high > 0.3 * top else max(1.1 * high, 1.5 * limit)
+        lines = stems(np.arange(1.0, lags + 1.0), np.zeros(lags), r[1:], SAMPLE, 1.3)
+        panels.append(Panel(name, (lines,), limits, lines_at=(0.0,), level=white))
+    return draw(Stack(tuple(panels), 1.3, x_label="lag [samples]"))
 
 
 def order_figure(found: Identification) -> Figure:
@@ -206,23 +189,11 @@ def order_figure(found: Identification) -> Figure:
 
 
 def residual_figure(found: Identification, unit: str) -> Figure:
-    """Residuals over time, and their correlations."""
-    data, e = found.data, found.fit.residuals
-    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
-    grid = figure.add_gridspec(2, 2)
-    top = figure.add_subplot(grid[0, :])
-    name, factor = _seconds(e.size / data.rate_hz)
-    zero, since = utc.axis_from(data.begin_s)
-    time = (data.begin_s - zero + (np.arange(e.size) + found.fit.d + data.seasonal_lag) / data.rate_hz) * factor
-    line(top, time, e, color=SAMPLE, linewidth=0.6)
-    for side in (-1.96, 1.96):
-        top.axhline(side * found.fit.sd, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
-    top.set_xlabel(f"time{since} [{name}]")
-    top.set_ylabel(_labelled("residual", unit))
-    top.margins(x=0.01)
-    _correlation(figure.add_subplot(grid[1, 0]), e, acf, "autocorrelation of residuals")
-    _correlation(figure.add_subplot(grid[1, 1]), e, pacf, "partial autocorrelation")
-    return figure
+    """Residuals over time, and where 95 % of them should lie."""
+    e, limits = found.fit.residuals, (-1.96 * found.fit.sd, 1.96 * found.fit.sd)
+    time, label = _times(found, e.size, -found.fit.d - found.data.seasonal_lag)
+    panel = Panel(_labelled("residual", unit), (Line(time, e, "", SAMPLE, width=0.6),), lines_at=limits)
+    return draw(Stack((panel,), 1.5, x_label=label))
 
 
 def pole_figure(found: Identification) -> Figure:
@@ -267,7 +238,7 @@ def pole_figure(found: Identification) -> Figure:
     return figure
 
 
-def _zoom(poles: NDArray[np.complex128], zeros: NDArray[np.complex128]) -> float:
+def _zoom(poles: Complex, zeros: Complex) -> float:
     """Half width of the window about 1 that holds the roots within 0.2 of it; 0 when there is none."""
     roots = np.r_[poles, zeros]
     close = np.abs(roots[np.abs(roots - 1.0) < 0.2] - 1.0)

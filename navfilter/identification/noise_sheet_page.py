@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,11 +16,13 @@ from navfilter.identification.noise_sheet_text import allan_rows, drive_toml, gr
 from navfilter.identification.report import write_page
 from navfilter.io.inertial import ImuRecord
 from navfilter.io.write import write_json
-from navfilter.rendering.drawing import COLOURS, WIDTH_IN, draw, line, style
+from navfilter.rendering.drawing import COLOURS, draw, style
 from navfilter.rendering.page import escape, heading_html, list_html, table_html
-from navfilter.rendering.panels import Line, Panel, Part, Points, Stack
+from navfilter.rendering.panels import Line, Mark, Panel, Part, Points, Stack, stems
 
-_MARKS = ("o", "s", "^")
+#: How the axes are told apart.
+_HUES = COLOURS[1], COLOURS[5], COLOURS[2]
+_MARKS: tuple[Literal["o", "x", "D"], ...] = ("o", "x", "D")
 #: Two-sided density to the units in which gyros and accelerometers are drawn.
 _GYRO, _ACCEL = 3600.0 * 180.0 / math.pi, 1e6 / 9.80665
 
@@ -75,30 +78,22 @@ def _scale(axes: Sequence[AxisSheet]) -> tuple[float, str]:
 
 
 def _allan_figure(axes: Sequence[AxisSheet]) -> Figure:
-    figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
-    ax = figure.subplots()
     factor, unit = _scale(axes)
-    for k, axis in enumerate(axes):
-        curve, colour = axis.allan, COLOURS[(1, 5, 2)[k]]
-        bars = factor * np.array([curve.deviation - curve.low, curve.high - curve.deviation])
-        ax.errorbar(
-            curve.tau_s, factor * curve.deviation, bars, fmt=_MARKS[k], markersize=3.0, linewidth=0.8, color=colour,
-            label=axis.name.replace("_", " "),
-        )  # fmt: skip
-        ax.plot(curve.tau_s, factor * curve.model, color=colour, linewidth=1.0)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel("averaging time [s]")
-    ax.set_ylabel(f"Allan deviation [{unit}]")
-    ax.legend()
-    return figure
+    parts: list[Part] = []
+    for axis, hue, mark in zip(axes, _HUES, _MARKS, strict=False):
+        curve = axis.allan
+        parts.append(Points(curve.tau_s, factor * curve.deviation, axis.name.replace("_", " "), hue, mark))
+        parts.append(stems(curve.tau_s, factor * curve.low, factor * curve.high, hue, 0.8))
+        parts.append(Line(curve.tau_s, factor * curve.model, "", hue, width=1.0))
+    panel = Panel(f"Allan deviation [{unit}]", tuple(parts), log=True)
+    return draw(Stack((panel,), 2.7, x_label="averaging time [s]", log_x=True))
 
 
 def _spectrum_figure(axes: Sequence[AxisSheet], period_s: float) -> Figure:
     factor, unit = _scale(axes)
     parts: list[Part] = []
     for k, axis in enumerate(axes):
-        size, hue, bands = factor / 3.0**k, COLOURS[(1, 5, 2)[k]], axis.bands
+        size, hue, bands = factor / 3.0**k, _HUES[k], axis.bands
         middle = np.sqrt(bands.low * bands.high)
         label = axis.name.replace("_", " ") + ("" if k == 0 else f" / {3**k}")
         parts.append(Points(middle, size * np.sqrt(bands.power), label, hue, "o"))
@@ -110,24 +105,18 @@ def _spectrum_figure(axes: Sequence[AxisSheet], period_s: float) -> Figure:
 
 
 def _record_figure(sheet: NoiseSheet, record: ImuRecord) -> Figure:
-    both = groups(sheet)
-    figure = Figure(figsize=(WIDTH_IN, 1.8 * len(both) + 0.6), layout="constrained")
-    panels = figure.subplots(len(both), 1, sharex=True, squeeze=False)[:, 0]
-    length = max(round(record.rate_hz), 1)
+    length, panels = max(round(record.rate_hz), 1), []
     blocks = len(record.value) // length
     time: Array = (np.arange(blocks, dtype=np.float64) + 0.5) * length / record.rate_hz
-    for ax, axes in zip(panels, both, strict=True):
+    for axes in groups(sheet):
         factor, unit = _scale(axes)
-        for k, axis in enumerate(axes):
+        parts: list[Part] = []
+        for axis, hue in zip(axes, _HUES, strict=False):
             x = record.value[: blocks * length, record.names.index(axis.name)].reshape(blocks, length)
             known = np.isfinite(x)
             mean = np.where(known, x, 0.0).sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
             shown = np.asarray(factor * (mean - np.nanmedian(mean)), dtype=np.float64)
-            label = axis.name.replace("_", " ")
-            line(ax, time, shown, color=COLOURS[(1, 5, 2)[k]], linewidth=0.7, label=label)
-        for begin, end in sheet.stretches_s:
-            ax.axvspan(begin, end, color="#999999", alpha=0.2, linewidth=0.0)
-        ax.set_ylabel(f"{axes[0].name.split('_')[0]} [{unit}]")
-        ax.legend(ncols=3)
-    panels[-1].set_xlabel("time [s]")
-    return figure
+            parts.append(Line(time, shown, axis.name.replace("_", " "), hue, width=0.7))
+        panels.append(Panel(f"{axes[0].name.split('_')[0]} [{unit}]", tuple(parts)))
+    rest = tuple(Mark(begin, end, "at rest", "", "#999999") for begin, end in sheet.stretches_s)
+    return draw(Stack(tuple(panels), 1.8, rest, "time [s]"))

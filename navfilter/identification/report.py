@@ -16,9 +16,8 @@ from navfilter.foundation.quoting import json_value
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
 from navfilter.io import units
-from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.vehicle_toml import error_text
-from navfilter.io.write import write_json
+from navfilter.io.write import write_json, write_text
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.interpretation import number
 from navfilter.rendering.drawing import style, svg
@@ -62,9 +61,7 @@ def write_page(
         drawn = svg(figure)
         written[-1].write_bytes(drawn)
         body += [heading_html(heading), figure_html(drawn, caption)]
-    with replacing(folder / "identify.html") as file:
-        file.write(page(title, title, subtitle, body))
-    return [folder / "identify.html", *written]
+    return [write_text(page(title, title, subtitle, body), folder / "identify.html"), *written]
 
 
 def summary_text(found: Identification, unit: str = "") -> str:

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, signal
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.identification.conditioning import bridged
 
 #: Blocks in which rest is judged [s], and at least so many samples.
@@ -54,7 +53,7 @@ class Stillness:
     """
 
     stretches: tuple[tuple[int, int], ...]
-    disturbed: NDArray[np.bool_]
+    disturbed: Mask
     share: float
 
 
@@ -129,14 +128,14 @@ def _resolution(x: Array) -> float:
     return float(np.diff(values).min()) if values.size > 1 else 0.0
 
 
-def _calm(scatter: Array, resolution: float) -> NDArray[np.bool_]:
+def _calm(scatter: Array, resolution: float) -> Mask:
     known = scatter[np.isfinite(scatter)]
     if known.size == 0:
         return np.zeros(scatter.size, dtype=bool)
     return np.asarray(scatter <= LOUD * max(float(np.quantile(known, 0.25)), 0.5 * resolution))
 
 
-def _steady(level: Array, quiet: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _steady(level: Array, quiet: Mask) -> Mask:
     """Whether the mean of each block is that of its quiet neighbours, on both sides."""
     places = np.flatnonzero(quiet)
     steady = np.zeros(level.size, dtype=bool)
@@ -157,7 +156,7 @@ def _steady(level: Array, quiet: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return steady
 
 
-def _runs(quiet: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(quiet: Mask) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.r_[False, quiet, False].astype(np.int8)))
     return [(int(first), int(after)) for first, after in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -246,7 +245,7 @@ def without_defects(value: Array) -> tuple[Array, list[str]]:
     return samples, notes + ([f"{missing} of {len(samples)} samples are missing"] if missing else [])
 
 
-def bridged_rest(x: Array, gone: NDArray[np.bool_]) -> Array:
+def bridged_rest(x: Array, gone: Mask) -> Array:
     """A stretch with what is gone replaced at the level of its neighbours: by the noise before it (behind it at the
     beginning), or, where only a few samples are gone, by noise drawn from the others. Copied with their mean taken out,
     few samples would have less noise than the rest.
@@ -271,7 +270,7 @@ def bridged_rest(x: Array, gone: NDArray[np.bool_]) -> Array:
     return x
 
 
-def _drawn(x: Array, gone: NDArray[np.bool_]) -> Array:
+def _drawn(x: Array, gone: Mask) -> Array:
     """For every sample another one of the same noise: the level around it, and how far some other is from its own."""
     known = np.where(gone, 0.0, x)
     around = _steady_for(x[~gone])

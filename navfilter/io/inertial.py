@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.display import counted
 from navfilter.io import read_mission
 from navfilter.io.axis_columns import SIZES, bare_name, found_axes
@@ -22,8 +21,6 @@ from navfilter.io.tables import read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.units import Unit, parse_quantity, unit
 from navfilter.models.mission import MissionError, Stream
-
-Bool = npt.NDArray[np.bool_]
 
 _DIMENSIONS = {"gyro": "angular rate", "accel": "acceleration"}
 _SIZE_TOLERANCE = 0.25
@@ -291,7 +288,7 @@ def _on_a_grid(
     return ImuRecord(source, rows.rate_hz, rows.begin_s, tuple(axes), np.ascontiguousarray(value), rows.notes)
 
 
-def _held(value: Array) -> Bool:
+def _held(value: Array) -> Mask:
     """Samples that are those before on all axes, where others farther apart are not alike: coarse ones are as often."""
     same = np.r_[False, (np.diff(value, axis=0) == 0.0).all(axis=1)]
     apart = (value[_APART:] == value[:-_APART]).all(axis=1)
@@ -300,7 +297,7 @@ def _held(value: Array) -> Bool:
     return same if is_held else np.zeros_like(same)
 
 
-def _marked(value: Array) -> tuple[str, Bool]:
+def _marked(value: Array) -> tuple[str, Mask]:
     """Samples that read the same on all axes again and again, where no others do, or far from the others."""
     known = np.isfinite(value).all(axis=1)
     none = np.zeros(len(value), dtype=bool)

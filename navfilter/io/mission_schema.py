@@ -9,13 +9,14 @@ them is their mean.
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterator
 from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, create_model, field_validator, model_validator
 
-from navfilter.io.table import Where
+from navfilter.io.table import TableOptions
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict, at_least_one
 from navfilter.models.mechanisation import Mechanisation
@@ -170,31 +171,18 @@ class Clock(Strict):
         return self
 
 
-class Source(Strict):
-    """One file and the groups of columns taken from it; their keys are those of `groups`, see `mission_spec`."""
+class Source(TableOptions):
+    """One file, its layout and the groups of columns taken from it; their keys are those of `groups`, see
+    `mission_spec`.
+    """
 
     file: str
-    table: str = ""
-    transpose: bool = False
-    header: bool | tuple[str, ...] | None = None
-    delimiter: str | None = None
-    decimal: str | None = Field(default=None, min_length=1, max_length=1)
-    comment: str = "#"
-    skip_lines: int = Field(default=0, ge=0)
-    skip_rows: int = Field(default=0, ge=0)
-    topic: str = ""
-    where: tuple[Where, ...] = ()
     run: int | None = Field(default=None, ge=1)
     time: Clock
     only_changes: bool | tuple[Reference, ...] = False
     max_gap_s: float | None = Field(default=None, gt=0)
     series: Group | None = None
     sd: Group | None = None
-
-    @field_validator("where", mode="before")
-    @classmethod
-    def _single_condition(cls, value: Any) -> Any:
-        return [value] if isinstance(value, dict) else value
 
     def references(self) -> set[Reference]:
         """The columns that are named anywhere in this source."""
@@ -358,8 +346,8 @@ class DuringSpec(Strict):
     """An instruction for a part of the mission."""
 
     sensor: str
-    from_s: float | None = None
-    to_s: float | None = None
+    from_s: float = -math.inf
+    to_s: float = math.inf
     off: bool = False
     noise: float = Field(default=1.0, gt=0)
     keys: dict[str, Any] = Field(default_factory=dict)
@@ -367,7 +355,7 @@ class DuringSpec(Strict):
 
     @model_validator(mode="after")
     def _says_something(self) -> DuringSpec:
-        if self.from_s is not None and self.to_s is not None and not self.from_s < self.to_s:
+        if not self.from_s < self.to_s:
             raise ValueError(f"from_s must be before to_s, found {self.from_s:g} and {self.to_s:g}")
         if not (self.off or self.noise != 1.0 or self.keys):
             raise ValueError("give off = true, noise = 3.0 (times as large), or keys = {..} of the sensor's table")

@@ -12,15 +12,15 @@ import numpy as np
 from navfilter.foundation import utc
 from navfilter.io.mission_schema import MissionSpec, StartSpec
 from navfilter.models.mission import MissionError, Stream
+from navfilter.models.start import Start
 
 
-def start_of(spec: StartSpec | None, truth: Stream | None, date: datetime.date | None, path: Path) -> Any:
+def start_of(spec: StartSpec, truth: Stream | None, date: datetime.date | None, path: Path) -> Start:
     """Build the `Start` that a mission.toml describes.
 
     Parameters
     ----------
-    spec : StartSpec or None
-        None: the mission has no start of its own.
+    spec : StartSpec
     truth : Stream or None
         Used where the start comes from the truth: its first row with a position at or after ``time_s``.
     date : datetime.date or None
@@ -30,12 +30,8 @@ def start_of(spec: StartSpec | None, truth: Stream | None, date: datetime.date |
 
     Returns
     -------
-    Start or None
+    Start
     """
-    if spec is None:
-        return None
-    from navfilter.models.start import Start
-
     given = {k: v for k, v in spec.model_dump(exclude={"source"}).items() if v is not None}
     if spec.source == "truth" and truth is not None:
         given = {**_from_truth(truth, given.get("time_s"), path), **given}

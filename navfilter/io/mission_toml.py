@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from navfilter.foundation.arguments import within
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.display import counted
 from navfilter.io import geodesy
 from navfilter.io.columns import QUATERNION, Counts, Times, clock_times, group_names, group_values
@@ -19,7 +18,6 @@ from navfilter.io.logs.topic_names import INSTRUMENT
 from navfilter.io.mission_schema import (
     SD,
     Clock,
-    DuringSpec,
     MissionSpec,
     Origin,
     Source,
@@ -39,8 +37,6 @@ from navfilter.io.validation import read_toml, validate
 from navfilter.models.during import During
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 from navfilter.models.state import euler_from_matrix, wrap
-
-Bool = npt.NDArray[np.bool_]
 
 #: More than a month at 100 Hz.
 _MOST_ROWS = 3e8
@@ -107,13 +103,8 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
         notes=tuple(reader.notes),
         windows=spec.windows,
         epoch_utc_s=None if epoch_utc_s is None else epoch_utc_s + zero,
-        during=tuple(_instruction(one) for one in spec.during),
+        during=tuple(During(**one.model_dump()) for one in spec.during),
     )
-
-
-def _instruction(spec: DuringSpec) -> During:
-    begin, end = -np.inf if spec.from_s is None else spec.from_s, np.inf if spec.to_s is None else spec.to_s
-    return During(spec.sensor, begin, end, spec.off, spec.noise, spec.keys, spec.why)
 
 
 def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -> float:
@@ -328,7 +319,7 @@ class _Reader:
         assert clock.file is not None  # only called with one, for the type checker
         return self.table(clock.file, TableOptions(table=clock.table, transpose=clock.transpose))
 
-    def _changed(self, table: Table, source: Source, parts: dict[str, Array]) -> Bool:
+    def _changed(self, table: Table, source: Source, parts: dict[str, Array]) -> Mask:
         """Rows in which a value differs from the row before; nobody knows how old the first row is, so it is none."""
         if source.only_changes is True:
             watched = np.column_stack([part for group, part in parts.items() if group != SD])
@@ -371,7 +362,7 @@ def _wanted_of_logs(spec: MissionSpec, folder: Path) -> dict[Path, dict[str, set
 
 
 def _layout(source: Source) -> TableOptions:
-    return TableOptions(**{key: getattr(source, key) for key in TableOptions.__dataclass_fields__})  # the same names
+    return TableOptions(**{key: getattr(source, key) for key in TableOptions.model_fields})
 
 
 def _rows(table: Table, source: Source) -> int:
@@ -385,7 +376,7 @@ def _rows(table: Table, source: Source) -> int:
     return int(table.joined(source.time.column).shape[0])
 
 
-def _on_circle(names: tuple[str, ...]) -> Bool:
+def _on_circle(names: tuple[str, ...]) -> Mask:
     """Which columns are angles on a circle: interpolated unwrapped, handed out wrapped."""
     return np.isin(names, [name for columns in groups().values() for name in columns.circular])
 

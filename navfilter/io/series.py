@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -131,13 +131,13 @@ def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[Tabl
         return options, column, []
     if path.suffix.lower() in _CONTAINERS:
         part = re.fullmatch(r"(.+)\[(\d+)\]", column)
-        return (replace(options, table=part[1]), part[2], []) if part else (options, column, [])
+        return (options.model_copy(update={"table": part[1]}), part[2], []) if part else (options, column, [])
     if column.isdecimal() or not path.is_file():
         return options, column, []
     for number, line in enumerate(first_lines(path)):
         if column in [name.strip() for name in fields_of(line.strip(), delimiter_of(line))]:
             notes = [f"the header was found on line {number + 1}"] if number else []
-            return replace(options, skip_lines=number), column, notes
+            return options.model_copy(update={"skip_lines": number}), column, notes
     return options, column, []
 
 

@@ -8,11 +8,8 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from navfilter.foundation.arrays import Array
-
-Bool = npt.NDArray[np.bool_]
+from navfilter.foundation.arrays import Array, Ints, Mask
 
 #: A longer way between two stamps that follow each other is none of one recording [s].
 _ERA_S = 100 * 86400.0
@@ -88,7 +85,7 @@ class Runs(NamedTuple):
     spans_s: tuple[tuple[float, float], ...]
 
 
-def strays(time_s: Array) -> Bool:
+def strays(time_s: Array) -> Mask:
     """Stamps that no neighbour supports: of another era, or far from their place where there is no room for them."""
     stray = np.zeros(time_s.size, dtype=bool)
     known = np.flatnonzero(np.isfinite(time_s))
@@ -106,7 +103,7 @@ def strays(time_s: Array) -> Bool:
     return stray
 
 
-def _eras(x: Array) -> npt.NDArray[np.int64]:
+def _eras(x: Array) -> Ints:
     """Which era each stamp is of: stamps far from all others are of another one."""
     order = np.argsort(x, kind="stable")
     era = np.zeros(x.size, dtype=np.int64)
@@ -114,7 +111,7 @@ def _eras(x: Array) -> npt.NDArray[np.int64]:
     return era
 
 
-def _displaced(x: Array) -> npt.NDArray[np.int64]:
+def _displaced(x: Array) -> Ints:
     """Rows out of the order of most, far from their place, whose time has another row."""
     chain = _chain(x)
     out = np.setdiff1d(np.arange(x.size), chain)
@@ -134,7 +131,7 @@ def _displaced(x: Array) -> npt.NDArray[np.int64]:
     return np.array(found, dtype=np.int64)
 
 
-def _chain(x: Array) -> npt.NDArray[np.int64]:
+def _chain(x: Array) -> Ints:
     """Rows of a longest part that does not go back (Fredman, 1975)."""
     ends: list[float] = []
     at: list[int] = []

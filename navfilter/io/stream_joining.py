@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.models.state import wrap
-
-Bool = npt.NDArray[np.bool_]
-
 
 #: A mean of angles that cancel each other to less than this has no direction [1].
 _CANCELLED = 1e-6
 
 
 def resampled(
-    time_s: Array, own_time: Array, part: Array, circular: Bool, max_gap_s: float | None, quaternion: bool = False
+    time_s: Array, own_time: Array, part: Array, circular: Mask, max_gap_s: float | None, quaternion: bool = False
 ) -> Array:
     """A group of another source at the times of the first; NaN outside its range and within gaps."""
     result = np.full((time_s.size, part.shape[1]), np.nan)
@@ -36,7 +32,7 @@ def resampled(
     return result
 
 
-def mean(given: list[Array], circular: Bool, quaternion: bool = False) -> Array:
+def mean(given: list[Array], circular: Mask, quaternion: bool = False) -> Array:
     """Mean of what is known, component by component."""
     stack = np.stack(given)
     if quaternion:
@@ -85,7 +81,7 @@ def _continuous(quaternion: Array) -> Array:
 
 def _mean_rotation(stack: Array) -> Array:
     """Mean along the first axis of quaternions (k, n, 4) that lie close together, with the sign of the first known."""
-    there: Bool = np.asarray(np.isfinite(stack).all(axis=2))
+    there: Mask = np.asarray(np.isfinite(stack).all(axis=2))
     first = stack[np.argmax(there, axis=0), np.arange(stack.shape[1])]
     alike = np.where(np.sum(stack * first, axis=2) < 0.0, -1.0, 1.0)[:, :, np.newaxis] * stack
     total = np.sum(np.where(there[:, :, np.newaxis], alike, 0.0), axis=0)
@@ -93,12 +89,12 @@ def _mean_rotation(stack: Array) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def block_mean(part: Array, length: int, circular: Bool, quaternion: bool = False) -> Array:
+def block_mean(part: Array, length: int, circular: Mask, quaternion: bool = False) -> Array:
     """Means of consecutive rows; a block with a missing value is missing, a short last block is dropped."""
     blocks = part.shape[0] // length
     whole: Array = part[: blocks * length].reshape(blocks, length, part.shape[1])
     if quaternion:
-        complete: Bool = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
+        complete: Mask = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
         return np.where(complete[:, np.newaxis], _mean_rotation(np.swapaxes(whole, 0, 1)), np.nan)
     blocks_mean: Array = whole.mean(axis=1)
     if circular.any():

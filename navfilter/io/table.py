@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import model_validator
+from pydantic import Field, field_validator, model_validator
 
 from navfilter.foundation.arrays import Array
 from navfilter.io.validation import Strict
@@ -17,44 +17,6 @@ from navfilter.models.mission import MissionError
 
 #: Texts that say that there is no value.
 BLANK = ("", "nan", "na", "n/a", "null", "none")
-
-
-@dataclass(frozen=True)
-class TableOptions:
-    """How a file is laid out; the defaults recognise most files by themselves.
-
-    Parameters
-    ----------
-    table : str
-        Which array of a container (.npz, .mat), such as ``"data.imu"``; an index picks one plane: ``"data[0]"``.
-    transpose : bool
-        True where each row of the array is a quantity and each column a sample.
-    header : bool, tuple of str or None
-        Whether a text file has a line of names, or the names themselves; None: a first line without any number is one.
-    delimiter : str or None
-        ``","``, ``";"``, ``"\\t"``, ``"whitespace"`` or None (recognised from the first line).
-    decimal : str or None
-        Decimal point or comma; None: a comma where the numbers of the first rows have one and none has a point.
-    comment : str
-        What begins a line of comment, or a comment behind a whole row; within a cell it is text.
-    skip_lines, skip_rows : int
-        Lines to skip before the header; rows of data to skip after it.
-    topic : str
-        Of a log (see `navfilter.io.logs`): which of its topics.
-    where : tuple of Where
-        Only the rows that fulfil all these conditions.
-    """
-
-    table: str = ""
-    transpose: bool = False
-    header: bool | tuple[str, ...] | None = None
-    delimiter: str | None = None
-    decimal: str | None = None
-    comment: str = "#"
-    skip_lines: int = 0
-    skip_rows: int = 0
-    topic: str = ""
-    where: tuple[Where, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -161,10 +123,6 @@ def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) ->
     return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-if TYPE_CHECKING:
-    from navfilter.io.table import Table
-
-
 Bool = npt.NDArray[np.bool_]
 
 
@@ -232,6 +190,48 @@ class Where(Strict):
         if raw.dtype.kind in "fiub":
             return np.isfinite(raw.astype(np.float64))
         return np.array([str(cell).strip().lower() not in ("", "nan", "none") for cell in raw], dtype=bool)
+
+
+class TableOptions(Strict):
+    """How a file is laid out; the defaults recognise most files by themselves.
+
+    Parameters
+    ----------
+    table : str
+        Which array of a container (.npz, .mat), such as ``"data.imu"``; an index picks one plane: ``"data[0]"``.
+    transpose : bool
+        True where each row of the array is a quantity and each column a sample.
+    header : bool, tuple of str or None
+        Whether a text file has a line of names, or the names themselves; None: a first line without any number is one.
+    delimiter : str or None
+        ``","``, ``";"``, ``"\\t"``, ``"whitespace"`` or None (recognised from the first line).
+    decimal : str or None
+        Decimal point or comma; None: a comma where the numbers of the first rows have one and none has a point.
+    comment : str
+        What begins a line of comment, or a comment behind a whole row; within a cell it is text.
+    skip_lines, skip_rows : int
+        Lines to skip before the header; rows of data to skip after it.
+    topic : str
+        Of a log (see `navfilter.io.logs`): which of its topics.
+    where : tuple of Where
+        Only the rows that fulfil all these conditions.
+    """
+
+    table: str = ""
+    transpose: bool = False
+    header: bool | tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str | None = Field(default=None, min_length=1, max_length=1)
+    comment: str = "#"
+    skip_lines: int = Field(default=0, ge=0)
+    skip_rows: int = Field(default=0, ge=0)
+    topic: str = ""
+    where: tuple[Where, ...] = ()
+
+    @field_validator("where", mode="before")
+    @classmethod
+    def _single_condition(cls, value: Any) -> Any:
+        return [value] if isinstance(value, dict) else value
 
 
 def _shown(value: Any) -> str:

@@ -8,20 +8,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from navfilter.foundation.display import counted
+from navfilter.io.logs import Shelf
 from navfilter.io.table import Table, TableOptions, Where, listing
 from navfilter.io.text_tables import before_comment, read_text
 from navfilter.io.trust import BROKEN, OPENERS, Place
 from navfilter.models.mission import MissionError
-
-if TYPE_CHECKING:
-    from navfilter.io.logs import Shelf
-
 
 #: Columns of a MOOS log.
 _ALOG = ("time", "name", "source", "value")
@@ -73,10 +70,10 @@ def read_table(file: Path | Place, options: TableOptions | None = None, shelf: S
         table = _columns_of(place, read_arrays(place), options)
     else:
         if path.suffix.lower() == ".alog" and options.header is None:
-            options = replace(options, header=_ALOG, comment="%", delimiter="whitespace")
+            options = options.model_copy(update={"header": _ALOG, "comment": "%", "delimiter": "whitespace"})
         names = tuple(condition for condition in options.where if isinstance(condition.equals, str))
         table = _read_long(place, names, options) if names else read_text(place, _unpack(place), options)
-        options = replace(options, where=tuple(c for c in options.where if c not in names))
+        options = options.model_copy(update={"where": tuple(c for c in options.where if c not in names)})
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
         raise MissionError(f"{place.shown} holds no rows of data.")
     return _chosen_rows(table, options.where)

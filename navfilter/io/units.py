@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.constants import STANDARD_GRAVITY
 
 
@@ -81,7 +81,7 @@ def unit(name: str) -> Unit:
     return UNITS[key]
 
 
-def angles(cells: Any, name: str) -> NDArray[np.float64]:
+def angles(cells: Any, name: str) -> Array:
     """Numbers of a column of angles in its unit, those of ``ddmm`` (degrees and minutes in one number) in degrees.
 
     A letter for the half of the Earth gives the sign (``4530.2012N``, ``S 33 51.5``); minutes and seconds may follow

@@ -173,7 +173,11 @@ def write_summary(
 
 def write_json(value: Any, path: str | os.PathLike[str]) -> Path:
     """Write plain values as JSON; what is not a finite number becomes null."""
+    return write_text(json.dumps(json_value(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n", path)
+
+
+def write_text(text: str, path: str | os.PathLike[str]) -> Path:
+    """Write text to a file that is there whole or not at all."""
     with replacing(path) as file:
-        json.dump(json_value(value), file, indent=2, allow_nan=False, ensure_ascii=False)
-        file.write("\n")
+        file.write(text)
     return Path(path)

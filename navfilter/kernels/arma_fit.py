@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import apart, njit
+from navfilter.kernels.compiling.decorators import njit
 
 # Roots are found when none moves by more than this part any more: the next round would square it. Near a multiple root
 # they never settle.
@@ -50,8 +50,7 @@ def impulse_response(c, w):
     return n
 
 
-@apart
-@njit(cache=True, nogil=True)
+@njit(apart=True, cache=True, nogil=True)
 def lag_products(x, y, out):
     """``out[k] = sum_t x[t] y[t+k]`` for every k of `out`."""
     n = min(x.size, y.size)
@@ -171,8 +170,7 @@ def _matmul(A, B, out):
                 out[i, j] += f * B[k, j]
 
 
-@apart
-@njit(cache=True, nogil=True)
+@njit(apart=True, cache=True, nogil=True)
 def largest_reflection(c, radius):
     """Largest reflection coefficient of ``1 + c1 q^-1 + ...`` scaled to `radius`: below 1 means all roots inside."""
     n = c.size
@@ -195,8 +193,7 @@ def largest_reflection(c, radius):
     return worst
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def _roots(c, z):
     """Roots of ``1 + c1 q^-1 + ...`` into `z`, all at a time (Aberth, Math. Comp. 27, 1973)."""
     n, size = c.size, 0.0
@@ -229,8 +226,7 @@ def _roots(c, z):
             break
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def _from_roots(z, c):
     """Coefficients of the polynomial with these roots, their real parts into `c`."""
     terms = np.zeros(z.size + 1, np.complex128)
@@ -242,8 +238,7 @@ def _from_roots(z, c):
         c[i] = terms[i + 1].real
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def _push_from_one(c, distance, z):
     """Roots nearer to 1 than `distance` in natural frequency, ``|ln z|`` per sample, are moved away from it, damped at
     the least.
@@ -263,8 +258,7 @@ def _push_from_one(c, distance, z):
         _from_roots(z, c)
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def _pull_inside(c, radius, circle, z):
     """No root beyond `radius`; those beyond `circle` are reflected into the unit circle first."""
     if not c.size or largest_reflection(c, radius) < 1.0:

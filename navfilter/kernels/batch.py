@@ -17,11 +17,7 @@ from navfilter.kernels import (
     strapdown,
 )
 from navfilter.kernels.compiling import addresses
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped, standing
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
-
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped, standing
 
 # What is beyond belief is so many times the variance [1], see `navfilter.faults.bias_plausibility`.
 BELIEVED = 16.0
@@ -93,8 +89,7 @@ HAND, HELD_FOR_SAMPLES, PIECE = 19, 15, 13
 DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN, LOOK = range(8)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _white(bench, spot, P, nav, variance, R):
     """The white covariance of a reading."""
     a = R.shape[0]
@@ -110,8 +105,7 @@ def _white(bench, spot, P, nav, variance, R):
             R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
     """`kalman.update` by residual and Jacobian as they stand in working memory, and what keeps it consistent.
 
@@ -180,8 +174,7 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
         _note_faults(bench, spot, int(0))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def fault_states(table, z, nav, x, start, north, C, near, res, held, band):
     """Let errors in proportion to the speed, those that go with the heading, and the motion of what a velocity is read
     against be those of a reading as foretold.
@@ -320,8 +313,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         _note_faults(bench, spot, int(1))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _note_faults(bench, spot, counts):
     """Show the bank of faults the last reading of a channel; counts: 1 where it is evidence if it was used."""
     a, parameters, mem = spot[0], spot[6], bench[spot[MEM] : spot[CONSTANTS]]
@@ -332,8 +324,7 @@ def _note_faults(bench, spot, counts):
     fault_bank.take_reading(bench[spot[BANK] :], mem, spot, places, near, spot[INDEX], time_s, counted, used)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, info, work):
     """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
@@ -374,8 +365,7 @@ def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, 
     cursor[ROWS] = at + 1
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _note_record(record, axes, dims, cursor, records, heads):
     """Write a record for the smoother: nothing where `records` is empty. heads (r, 6): size, axes, head, size and
     start of the ticked block, place of a deviation; a head of 0 where the transition is the identity, which is
@@ -402,8 +392,7 @@ def _has_room(cursor, size, rows, records, heads):
     return records.size == 0 or cursor[WRITTEN] + size <= records.size
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def gravity_is_due(w, nav, P, period_s):
     """While all axes are good, `navfilter.faults.imu.monitor.ImuMonitor.heed`: the reference of gravity is due."""
     for i in range(6):
@@ -425,8 +414,7 @@ def gravity_is_due(w, nav, P, period_s):
     return True
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _keep_recent(block, recent, cursor):
     """Put the samples of a block before the last ones, the newest first."""
     for n in range(block.shape[0]):
@@ -440,8 +428,7 @@ def _keep_recent(block, recent, cursor):
             recent[cursor[NEWEST], j] = block[n, j]
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work, bank):
     """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; says why
     it ended: all is `DONE`, the output is `FULL`, or Python has to `HEED` what the watch over the drive has found,
@@ -696,11 +683,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
         row[4], row[5] = float(kept_samples), float(kept_values + z.size)
     figures[SAME], figures[SINCE_S] = 1.0, time_s
     holds = time_s - now_s > SAME_S and drv[strapdown.STARTED] != 0.0
-    state, drive, times = (
-        (nav, x, P, acc),
-        (drv, Phid, Qd, Cr),
-        (time_s, now_s, 0.0, facts[TICK_S], holds),
-    )
+    state, drive, times = (nav, x, P, acc), (drv, Phid, Qd, Cr), (time_s, now_s, 0.0, facts[TICK_S], holds)
     count, used = _correct_reading(bench, plan, own, state, drive, recent, (read, read[:0]), times)
     note = bench[verdict : verdict + 3 + a]
     if not used:
@@ -710,10 +693,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     _note_used(figures, time_s, note[0], note[1], nav)
     if undone.size > 0:
         mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[open_loop_residual.MOUNT :]
-        C, kind = (
-            shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors),
-            int(ear[open_loop_residual.KIND]),
-        )
+        C, kind = (shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors), int(ear[open_loop_residual.KIND]))
         open_loop_residual.record_residual(
             undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED]
         )
@@ -725,8 +705,7 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     return DONE, note[0], int(note[1])
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _record_residual(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
     """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something
     is to be learnt. own: row of `plan`; ear, places, opened: see `run_batch`.
@@ -759,8 +738,7 @@ def _record_residual(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone,
     )
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _described_nis(bench, own, P, nav, Cr, t, kept, facts, w):
     """NIS by its description of a reading that was used, of a sensor that scatters by more, see
     `noise_scale.update_scale`.

@@ -14,12 +14,9 @@ import math
 import numpy as np
 
 from navfilter.kernels import strapdown, symmetric
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import LANES, all_of, eight, if_below, put, times
 from navfilter.kernels.compiling.vectors import WIDE, weighted
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 #: By so many standard deviations of the velocity its slopes may be off, see `consistency.limit_velocity_slopes`.
 HELD = 3.0
@@ -227,8 +224,7 @@ def turns_with_heading(P, north, east):
     return P[4, 8] * north - P[3, 8] * east >= 0.5 * P[8, 8] * (north * north + east * east)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def attitude_second_order(P, acc, nav, own, work):
     """Before a fold of an inertial drive: what its linear transition leaves out of errors of the attitude.
 
@@ -265,8 +261,7 @@ def attitude_second_order(P, acc, nav, own, work):
         acc[i, 8] *= share
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def velocity_band(P, near, begin, first, turned):
     """By how much a velocity as it is read may be off, as a slope by which something is told: `HELD` sd.
 
@@ -303,8 +298,7 @@ def held_slope(new, old, band):
     return old + FOLLOWED * (new - old) if abs(new - old) <= band else new
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def limit_velocity_slopes(P, near, held, begin, first, turned):
     """Hold the slopes of a velocity by its scale and misalignment, see `held_slope`: in columns from 9 + begin on of
     near the new ones; held (a, k): those of the reading before. The rest as for `velocity_band`.
@@ -315,8 +309,7 @@ def limit_velocity_slopes(P, near, held, begin, first, turned):
             near[i, 9 + begin + j] = held_slope(near[i, 9 + begin + j], held[i, j], band)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def limit_unread_slopes(P, near, res, first):
     """Slopes of a velocity by the attitude, where not all components are read: one that is not counts as far as it
     stands out of its own uncertainty. Whether three are read at least.
@@ -404,8 +397,7 @@ def discount_clock(inner, slope, then, drv, Cr, over_s, gravity, variance, pushe
         R[i, i] += shared * variance * (noise + left * left) + 0.5 * (variance * growth) ** 2
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def acceleration_covariance(P, nav, drv, Cr, pushes, work):
     """Covariance of an inertial unit's acceleration in n, into `pushes` (3, 3): by tilt and by errors of the
     accelerometers, with all that is known of both. At rest a bias looks like an acceleration, and what a velocity
@@ -440,8 +432,7 @@ def acceleration_covariance(P, nav, drv, Cr, pushes, work):
 # Constants that are considered, not estimated (Schmidt, 1966).
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def store_constants(P, x, at, kept):
     """Note what is known of constants from `at` on before a reading corrects, for `consider`.
 
@@ -456,8 +447,7 @@ def store_constants(P, x, at, kept):
             put(to, (1 + i) * most + j, eight(whole, (at + i) * n + first + j))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def consider(P, x, kept, at, untold):
     """Take back what a reading has told of constants that are only considered (Schmidt, 1966): slopes and
     correlations with all else stay, and they are known as before. The smoother takes them for constants that walk
@@ -478,8 +468,7 @@ def consider(P, x, kept, at, untold):
             put(whole, place, if_below(all_of(0.0), eight(meant, j), before, eight(whole, place)))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def consider_lever_arm(P, x, near, kept, own, at, drv, Cr, untold):
     """Have a lever arm only considered where its slopes do not stand out of the noise of the gyros.
 
@@ -509,8 +498,7 @@ def _square(near, column):
     return s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def consider_hidden(P, x, H, K, kept, at, untold):
     """Have constants only considered where what they do to a reading does not stand out of what the state's error
     does to it: scales and misalignments of an inertial unit, and of wheels.
@@ -568,11 +556,7 @@ def _with_turned(whole, n, first, of, j, x, y, z):
     """Eight numbers from column j on of three rows, with the cross products added: see `add_turned`."""
     u, v, w = eight(whole, of * n + j), eight(whole, (of + 1) * n + j), eight(whole, (of + 2) * n + j)
     a, b, c = eight(whole, first * n + j), eight(whole, (first + 1) * n + j), eight(whole, (first + 2) * n + j)
-    return (
-        a + (times(v, z) - times(w, y)),
-        b + (times(w, x) - times(u, z)),
-        c + (times(u, y) - times(v, x)),
-    )
+    return (a + (times(v, z) - times(w, y)), b + (times(w, x) - times(u, z)), c + (times(u, y) - times(v, x)))
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -598,8 +582,7 @@ def add_turned(M, first, of, x, y, z):
     symmetric.symmetrise(M, first)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def turn_velocity(P, nav, before, change):
     """After a velocity in the vehicle's axes has changed the estimate: what a rotation does to the velocity it also
     does to the change. before: the three of the velocity until then; change (3,) is written for the smoother.
@@ -628,8 +611,7 @@ def reset_tilts(M, p, q):
     symmetric.symmetrise(M, int(6))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def turn_tilts(P, K, res, change):
     """After a reading where no velocity in the vehicle's axes has been used: the attitude's error left over is
     expressed at the corrected tilts, too, by the first order of the Jacobian of `correct`.
@@ -652,8 +634,7 @@ def deviation_change(K, res, first):
     return K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _turn_states(P, by, first):
     """Let states from `first` on follow an error of the heading: `by` is what turning by one does to the change of
     each. P is symmetric.
@@ -678,8 +659,7 @@ def _turn_states(P, by, first):
             P[j, i] = s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def turn_deviation(P, K, res, first):
     """After a compass has changed its own deviation: what an error of the heading does to the deviation it also does to
     the change. K (n,): its gain; first: where sine and cosine of the heading, and of twice it, begin.
@@ -702,8 +682,7 @@ def current_change(K, res, first):
     return -east, north
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def turn_current(P, K, res, first):
     """With `turn_velocity`: a current, north and east from `first` on, turns with the heading as the velocity does.
 

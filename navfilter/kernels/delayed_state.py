@@ -8,11 +8,8 @@ import numpy as np
 
 from navfilter.kernels import consistency, measurement, strapdown
 from navfilter.kernels.compiling import addresses
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import LANES, all_of, eight, load, put, store, times
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 #: Slopes are means over this time at least: what is faster, a car on its springs or noise, tells no clock [s].
 SLOPE_S = 1.0
@@ -34,8 +31,7 @@ ROOM = 149
 ARM, CLOCK, TURNS, SHARED, BY_ARM = range(5)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def drive_outputs(drv, Cr, xd, rows, errors):
     """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
 
@@ -218,8 +214,7 @@ def _samples_needed(recent, late_s, long_s):
     return min(count + 1, most)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _delayed_reading(given, H, near, res, R, work):
     """As `delayed_reading`; given: what it is told; work: what it has room in."""
     equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes = given

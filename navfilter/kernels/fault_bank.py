@@ -22,11 +22,8 @@ import math
 import numpy as np
 
 from navfilter.kernels import symmetric
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.vectors import less_half, rank2_update, weighted
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 # Head: signatures, states, channels, looks so far, time of the last look; log odds of the likeliest fault then, and how
 # far faults that nobody has noticed may have moved the position and turned the heading; time of the last reading.
@@ -75,8 +72,7 @@ def places(bank):
     return table, D, s, J, more, heard, heard + int(bank[CHANNELS]) * HEARD
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def carry(bank, Phi, first):
     """D <- Phi D for the states from `first` on; Phi (k, k)."""
     columns, m = WINDOWS * int(bank[SIGNATURES]), Phi.shape[0]
@@ -106,8 +102,7 @@ def _larger(own):
     return max(own[SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
     """A reading as the filter left it in its channel's memory.
 
@@ -188,8 +183,7 @@ def _turn(D, turn):
         D[6, k], D[7, k], D[8, k] = x + q * h, y - p * h, h + p * y - q * x
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def judged(bank, window, k, time_s, out):
     """What innovations say of the fault that begins with signature k, with its onset in a window: its log odds against
     none [nat]; the size of what it has done to the position if it is there, the sd of that along its longest axis [m];
@@ -227,8 +221,7 @@ def judged(bank, window, k, time_s, out):
     out[3], out[4] = abs(turned), math.sqrt(max(spread / whole, 0.0))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def begin_window(bank, window, time_s):
     """Faults of a window begin now."""
     c, n = int(bank[SIGNATURES]), int(bank[STATES])
@@ -270,8 +263,7 @@ def _told(own):
     own[READINGS] = 0.0
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def look(bank, time_s):
     """Log odds of the likeliest fault. That and what faults that nobody has noticed may have done to position and
     heading stand in the head then; the onset of a window that says nothing is moved on when it is its turn.

@@ -8,7 +8,7 @@ bit); everything else is in rates and forces.
 
 import math
 
-from navfilter.kernels.compiling.decorators import apart, njit
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit
 from navfilter.kernels.compiling.registers import (
     all_below,
     all_of,
@@ -20,9 +20,6 @@ from navfilter.kernels.compiling.registers import (
     put_column,
     times,
 )
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 # Columns of an axis: its condition, how long that had lasted when it was found [s] and how long nothing has spoken for
 # it [s]; the last value as it came, times it came in a row, share of values that repeat, smallest change; the last two
@@ -62,8 +59,7 @@ SEVERAL = 4  # samples for which it pays to take the axes together
 JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference turns with the gyros
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def check_samples(samples, w, sd, limits, period_s, increments):
     """Look at samples in their order, and put what is known in place of what bad axes say: a gyro's rate is 0, an
     accelerometer's force that of a vehicle at rest.
@@ -93,8 +89,7 @@ def _is_calm(w, period_s):
     return calm
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _check_ordinary(samples, n, w, sd, limits, period_s, increments):
     """`_check_axes` of samples that find nothing, the six axes at once, from sample n on: to the bit what it does.
     Returns the first that may find something: it is not looked at yet; all have been if that has `NEWS`.
@@ -163,8 +158,7 @@ def _check_ordinary(samples, n, w, sd, limits, period_s, increments):
     return n
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _check_axes(sample, w, sd, limits, period_s, increments):
     """What a sample says of each axis."""
     unit, dt = w[UNIT], sample[0]
@@ -282,8 +276,7 @@ def _weigh(w, dt):
         _judge(w)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _judge(w):
     """Say what is wrong with all three accelerometers, or that nothing is any more."""
     unit = w[UNIT]

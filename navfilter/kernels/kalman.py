@@ -9,24 +9,20 @@ import math
 import numpy as np
 
 from navfilter.kernels import consistency, symmetric
-from navfilter.kernels.compiling.decorators import apart, flat, njit, shaped
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, shaped
 from navfilter.kernels.compiling.registers import eight, not_zero
 from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_update, weighted
 
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _multiply(A, B, out):
     """`product`, compiled once."""
     product(A, B, out)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
     """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
     columns of Phi P then; A (m, 9): work.
@@ -58,8 +54,7 @@ def _reach(row, i):
     return (first, last) if last else (i, i + 1)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def present(P, acc, nav, inertial, own, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
     other states (n - 9). inertial, own: whether `consistency.attitude_second_order` comes before. work: 9 (2m + 9).
@@ -124,8 +119,7 @@ def _moving_states(acc):
     return k
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
 
@@ -199,8 +193,7 @@ def is_identity(A):
     return diagonal == m == _nonzero(flat(A))
 
 
-@apart
-@njit(cache=True, **COUNTED)
+@njit(apart=True, cache=True, **COUNTED)
 def power(Phi, Q, count, W):
     """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square
     and its noise.
@@ -244,8 +237,7 @@ def power(Phi, Q, count, W):
         count //= 2
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def advance_block(P, x, start, A, B, T):
     """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
     (b, n) work.
@@ -280,8 +272,7 @@ def advance_block(P, x, start, A, B, T):
         x[start - 9 + i] = T[i, 0]
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _invert(S):
     """The inverse of the upper half of S (2a, a), definite and symmetric, into its lower half (Gauss and Jordan)."""
     a = S.shape[1]
@@ -306,8 +297,7 @@ def _invert(S):
             S[a + j, i] = s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
 
@@ -362,8 +352,7 @@ def innovation(P, H, res, R, S, PH, out):
     out[0], out[1] = nis, used
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
     reset.
@@ -440,8 +429,7 @@ def memory_offsets(dims):
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: fold the transition, and tick the sensor's block `count` times, whose transition goes into
     `mem`. model: (2, b, b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
@@ -474,8 +462,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
                 A[i, j] = 1.0 if i == j else 0.0
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
     if it passes.
@@ -521,8 +508,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
             mem[ii + i * a + j] = S[a + i, j]
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
     """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
     drive's states (9 to `head`) stays.
@@ -539,8 +525,7 @@ def _whole_jacobian(H, near, C, start, head):
             H[i, start + errors + j - 9] = near[i, j]
 
 
-@apart
-@njit(cache=True, **COUNTED)
+@njit(apart=True, cache=True, **COUNTED)
 def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
 
@@ -580,8 +565,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     return False
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 
@@ -659,8 +643,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     symmetric.symmetrise(L, int(6))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _transition_transposed(L, lam, Phi, start, b, T):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition that touches b states from `start`."""
     n = len(lam)
@@ -706,8 +689,7 @@ def _transition_transposed(L, lam, Phi, start, b, T):
         lam[start + i] = T[0, i]
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _head_transposed(L, lam, Phi, work):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,).
 
@@ -753,8 +735,7 @@ def _head_transposed(L, lam, Phi, work):
     symmetric.mirror_columns(T, L, m, m)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
@@ -771,8 +752,7 @@ def smooth_row(P, L, lam, mean, cov, T):
             cov[j, i] = s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def drive_step(L, lam, nav, first, out):
     """The step that a drive would have had to say too much at an epoch for all later readings to fit best, one body
     axis at a time, and its standard deviation: out (2, k).

@@ -11,16 +11,11 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch, shaped
+from navfilter.kernels import strapdown
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.registers import across, all_of, eight, if_below, load, not_zero, store
 
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
-
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
-# Squares of angles [rad^2] below which a rotation is a series, and one by the factorials in it.
-SMALL_ANGLE2, P3, P5, P7 = 1e-3, 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0
-Q4, Q6, Q8 = 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -31,25 +26,21 @@ def _clear(H):
 
 
 @njit(cache=True, inline="always")
-def _rodrigues(t2):
-    """Factors p, q of ``exp([v x]) = I + p [v x] + q [v x]^2`` for |v|^2 = t2."""
-    if t2 > SMALL_ANGLE2:
-        t = math.sqrt(t2)
-        return math.sin(t) / t, (1.0 - math.cos(t)) / t2
-    # series without divisions, which are slow: the first term left out is below 1e-17
-    return 1.0 - t2 * (P3 - t2 * (P5 - P7 * t2)), 0.5 - t2 * (Q4 - t2 * (Q6 - Q8 * t2))
+def _in_n(nav, x, y, z):
+    """The vector (x, y, z) of b in n."""
+    north, east = nav[6] * x + nav[7] * y + nav[8] * z, nav[9] * x + nav[10] * y + nav[11] * z
+    return north, east, nav[12] * x + nav[13] * y + nav[14] * z
 
 
 @njit(cache=True, inline="always")
 def _third(t2, p):
-    """The factor after those of `_rodrigues`, (1 - p) / t2. With q and it in place of p and q the same form is J of
-    ``exp([(v + dv) x]) = exp([J dv x]) exp([v x])``.
+    """The factor after those of `strapdown.rodrigues`, (1 - p) / t2. With q and it in place of p and q the same form is
+    J of ``exp([(v + dv) x]) = exp([J dv x]) exp([v x])``.
     """
-    return (1.0 - p) / t2 if t2 > SMALL_ANGLE2 else P3 - t2 * (P5 - P7 * t2)
+    return (1.0 - p) / t2 if t2 > strapdown.SMALL_ANGLE2 else strapdown.P3 - t2 * (strapdown.P5 - strapdown.P7 * t2)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     """Velocity v in n of the reference point, as seen by an instrument; scale (one, or one an axis) and misalignment,
     if any, are `par` from `first` on.
@@ -80,7 +71,7 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
         a, b, c = par[turned], par[turned + 1], par[turned + 2]
     # the whole rotation: a series to second order is off by 0.01 deg at 6 deg, more than a mounting is told to
     angle2 = a * a + b * b + c * c
-    p, q = _rodrigues(angle2)
+    p, q = strapdown.rodrigues(angle2)
     d0, d1, d2 = 1.0 - q * (b * b + c * c), 1.0 - q * (c * c + a * a), 1.0 - q * (a * a + b * b)
     e01, e02, e10 = q * a * b - p * c, q * a * c + p * b, q * a * b + p * c
     e12, e20, e21 = q * b * c - p * a, q * a * c - p * b, q * b * c + p * a
@@ -170,8 +161,7 @@ def _bearing(n0, n1, n2, H):
     return math.atan2(n1, n0)
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def _deviation(psi, par, H, temperature, cfg):
     """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and
     slope.
@@ -223,9 +213,7 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
         f2 += xz * m0 + yz * m1 + zz * m2
     if hard >= 0:
         f0, f1, f2 = f0 - par[hard], f1 - par[hard + 1], f2 - par[hard + 2]
-    n0 = nav[6] * f0 + nav[7] * f1 + nav[8] * f2
-    n1 = nav[9] * f0 + nav[10] * f1 + nav[11] * f2
-    n2 = nav[12] * f0 + nav[13] * f1 + nav[14] * f2
+    n0, n1, n2 = _in_n(nav, f0, f1, f2)
     h2 = n0 * n0 + n1 * n1
     if h2 < 1e-300:
         res[0] = math.nan  # a vertical field has no azimuth
@@ -267,9 +255,7 @@ def depth(z, nav, rate, par, cfg, H, res):
     cfg: lever arm (3), height of the surface [m]. par: none or the offset [m].
     """
     _clear(H)
-    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
-    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
-    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    a0, a1, a2 = _in_n(nav, cfg[0], cfg[1], cfg[2])
     res[0] = z[0] - (cfg[3] - nav[2] + a2)
     H[0, 2] = 1.0
     H[0, 6], H[0, 7] = a1, -a0  # third component of phi x arm
@@ -285,9 +271,7 @@ def altitude(z, nav, rate, par, cfg, H, res):
     cfg: lever arm (3), described height of the bottom [m]. par: none, or how much higher the bottom is [m].
     """
     _clear(H)
-    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
-    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
-    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    a0, a1, a2 = _in_n(nav, cfg[0], cfg[1], cfg[2])
     res[0] = z[0] - (nav[2] - a2 - cfg[3])
     H[0, 2], H[0, 6], H[0, 7] = -1.0, -a1, a0
     if len(par) > 0:
@@ -301,9 +285,7 @@ def position(z, nav, rate, par, cfg, H, res):
     cfg: arm (3).
     """
     _clear(H)
-    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
-    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
-    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    a0, a1, a2 = _in_n(nav, cfg[0], cfg[1], cfg[2])
     turn = z[1] - nav[1]
     turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
     res[0] = (z[0] - nav[0]) * nav[15] - a0
@@ -372,7 +354,7 @@ def slant_range(z, nav, rate, par, cfg, H, res):
 def _rotation(m, out, by):
     """The rotation by a vector m, and the matrix (3, 3) by which a change of m turns it further."""
     angle2 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
-    p, q = _rodrigues(angle2)
+    p, q = strapdown.rodrigues(angle2)
     r = _third(angle2, p)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -510,9 +492,7 @@ def ground_velocity(z, nav, rate, par, cfg, H, res):
     x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
     x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
     x2 = rate[0] * cfg[1] - rate[1] * cfg[0]
-    w0 = nav[6] * x0 + nav[7] * x1 + nav[8] * x2
-    w1 = nav[9] * x0 + nav[10] * x1 + nav[11] * x2
-    w2 = nav[12] * x0 + nav[13] * x1 + nav[14] * x2
+    w0, w1, w2 = _in_n(nav, x0, x1, x2)
     res[0], res[1], res[2] = z[0] - nav[3] - w0, z[1] - nav[4] - w1, z[2] - nav[5] - w2
     for i in range(3):
         H[i, 3 + i] = 1.0
@@ -547,16 +527,9 @@ def earth_rate(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True, inline="always")
-def _turned(x, y, z, p, q, u, v, w):
-    """The vector (u, v, w) turned by (x, y, z), p and q see `_rodrigues`: a row of C exp([-(x, y, z) x])."""
-    f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
-    return u + p * f + q * (y * h - z * g), v + p * g + q * (z * f - x * h), w + p * h + q * (x * g - y * f)
-
-
-@njit(cache=True, inline="always")
 def _piece_back(state, down, dt, x, y, z, p, q, a, b, c):
     """What is carried, see `_stepped_back`, before a piece in which the body turns by (x, y, z), p and q see
-    `_rodrigues`, and (a, b, c) is the change of velocity in the attitude behind it.
+    `strapdown.rodrigues`, and (a, b, c) is the change of velocity in the attitude behind it.
     """
     u, v, w, speed, way, once, twice = state
     by, half, pull = all_of(dt), all_of(0.5 * dt), all_of(dt) * down
@@ -564,16 +537,16 @@ def _piece_back(state, down, dt, x, y, z, p, q, a, b, c):
     way = way + by * speed - half * (force + pull)
     twice = twice + by * once + half * force
     once, speed = once + force, speed - force - pull
-    u, v, w = _turned(all_of(x), all_of(y), all_of(z), all_of(p), all_of(q), u, v, w)
+    u, v, w = strapdown.rotated(all_of(p), all_of(q), all_of(x), all_of(y), all_of(z), u, v, w)
     return u, v, w, speed, way, once, twice
 
 
 @njit(cache=True, inline="always")
 def _series(t2):
-    """`_rodrigues` of eight small angles."""
+    """`strapdown.rodrigues` of eight small angles."""
     return (
-        all_of(1.0) - t2 * (all_of(P3) - t2 * (all_of(P5) - all_of(P7) * t2)),
-        all_of(0.5) - t2 * (all_of(Q4) - t2 * (all_of(Q6) - all_of(Q8) * t2)),
+        all_of(1.0) - t2 * (all_of(strapdown.P3) - t2 * (all_of(strapdown.P5) - all_of(strapdown.P7) * t2)),
+        all_of(0.5) - t2 * (all_of(strapdown.Q4) - t2 * (all_of(strapdown.Q6) - all_of(strapdown.Q8) * t2)),
     )
 
 
@@ -593,10 +566,10 @@ def _eight_pieces(motion, k, span, work):
     x, y, z = dt * load(work, 2), dt * load(work, 3), dt * load(work, 4)
     a, b, c = dt * load(work, 5), dt * load(work, 6), dt * load(work, 7)
     t2 = x * x + y * y + z * z
-    if not_zero(if_below(t2, all_of(SMALL_ANGLE2), all_of(0.0), all_of(1.0))) > 0:
+    if not_zero(if_below(t2, all_of(strapdown.SMALL_ANGLE2), all_of(0.0), all_of(1.0))) > 0:
         return -1.0
     p, q = _series(all_of(0.25) * t2)
-    a, b, c = _turned(all_of(-0.5) * x, all_of(-0.5) * y, all_of(-0.5) * z, p, q, a, b, c)
+    a, b, c = strapdown.rotated(p, q, all_of(-0.5) * x, all_of(-0.5) * y, all_of(-0.5) * z, a, b, c)
     p, q = _series(t2)
     store(work, 0, dt)
     store(work, 1, x)
@@ -639,9 +612,9 @@ def _stepped_back(X, motion, gravity, span, work):
         x, y, z, a, b, c = motion[k, 1], motion[k, 2], motion[k, 3], motion[k, 4], motion[k, 5], motion[k, 6]
         x, y, z, a, b, c = dt * x, dt * y, dt * z, dt * a, dt * b, dt * c
         t2 = x * x + y * y + z * z
-        p, q = _rodrigues(0.25 * t2)
-        a, b, c = _turned(-0.5 * x, -0.5 * y, -0.5 * z, p, q, a, b, c)
-        p, q = _rodrigues(t2)
+        p, q = strapdown.rodrigues(0.25 * t2)
+        a, b, c = strapdown.rotated(p, q, -0.5 * x, -0.5 * y, -0.5 * z, a, b, c)
+        p, q = strapdown.rodrigues(t2)
         for _ in range(pieces):
             state = _piece_back(state, down, dt, x, y, z, p, q, a, b, c)
         k += 1
@@ -775,8 +748,7 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
     return over_s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
     """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
 

@@ -2,10 +2,7 @@
 
 import math
 
-from navfilter.kernels.compiling.decorators import apart, njit, shaped
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit, shaped
 
 # It is looked at once so many readings were refused within the last ones, the older the less [1]: of good ones three in
 # a thousand are.
@@ -96,8 +93,7 @@ def _median_square(values, count):
     return total / kept / MEAN_OF_KEPT
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def excess_variance(bends, axis, latest, newest, white, work):
     """What a sensor scatters by beyond its variance in one axis: 0 where it does not, or where nobody can tell.
 
@@ -175,8 +171,7 @@ def is_worthless(kept, axes):
     return endless
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ignored):
     """Take a reading, as its correction left it, and return its NIS by the description of its sensor.
 

@@ -4,10 +4,7 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import njit
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit
 
 ZERO, POINT, MINUS, PLUS, EXPONENT, COMMA, END = 48, 46, 45, 43, 101, 44, 10  # characters
 WIDEST = 32  # characters of a number with its comma, at most

@@ -21,10 +21,7 @@ and last how well fixes were predicted that nothing is learnt from, and how well
 
 import math
 
-from navfilter.kernels.compiling.decorators import apart, njit, shaped
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit, shaped
 
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
@@ -59,8 +56,7 @@ def _is_another(ear):
     return mean > ear[ANOTHER] * ear[LEVEL] or mean * ear[ANOTHER] < ear[LEVEL]
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def judge_level(ear, nis, dof):
     """Bayes' rule for the probabilities of the levels, of which any may follow: innovations have a covariance that goes
     as the level.
@@ -77,8 +73,7 @@ def judge_level(ear, nis, dof):
         ear[ODDS + k] /= total
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def after_reading(ear, nis, dof, ticks, learning):
     """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error has
     another level, or enough ticks have been noted.
@@ -93,8 +88,7 @@ def after_reading(ear, nis, dof, ticks, learning):
     return ear[NOTED] >= ear[DUE]
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def carry_feedback(undone, Phi):
     """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn
     the heading.
@@ -129,8 +123,7 @@ def _in_body(mem, nav, K, res, a, used, axis):
     return v
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     """After a reading: carry `undone` to it, note its open-loop residual in `ring` (kind != 0), then add what it fed
     back.

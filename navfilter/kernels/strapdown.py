@@ -17,12 +17,10 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import apart, flat, njit, scratch
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch
 from navfilter.kernels.compiling.registers import all_of, load, store, times
 from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
 
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
@@ -31,8 +29,9 @@ EARTH_RATE = 7.292115e-5  # [rad/s]
 GRAVITY_EQUATOR = 9.7803253359  # Somigliana [m/s^2]
 GRAVITY_POLE = 9.8321849378
 GRAVITY_SLOPE = 2.0 / EARTH_RADIUS  # relative decrease per metre of height
-# Of the series of a rotation by a small angle: one by the factorials of 3, 5, 7 and 4, 6, 8.
-P3, P5, P7, Q4, Q6, Q8 = 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0, 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
+# The square of an angle [rad^2] below which a rotation is a series; one by the factorials of 3, 5, 7 and 4, 6, 8.
+SMALL_ANGLE2, P3, P5, P7 = 1e-3, 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0
+Q4, Q6, Q8 = 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
 SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 
 # Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of
@@ -143,9 +142,9 @@ def gravity(latitude, height):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _rodrigues(t2):
+def rodrigues(t2):
     """Factors a, b of ``exp([v x]) = I + a [v x] + b [v x]^2`` for |v|^2 = t2."""
-    if t2 > 1e-3:
+    if t2 > SMALL_ANGLE2:
         t = math.sqrt(t2)
         return math.sin(t) / t, (1.0 - math.cos(t)) / t2
     # series without divisions, which are slow: the first term left out is below 1e-17
@@ -153,7 +152,7 @@ def _rodrigues(t2):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _turned(a, b, x, y, z, u, v, w):
+def rotated(a, b, x, y, z, u, v, w):
     """The vector (u, v, w) turned: itself + a (x, y, z) x it + b (x, y, z) x ((x, y, z) x it)."""
     f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
     return u + a * f + b * (y * h - z * g), v + a * g + b * (z * f - x * h), w + a * h + b * (x * g - y * f)
@@ -187,8 +186,7 @@ def _compound(acc, m):
             Q[i, j] = T[i, j]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
     longer than `gap_s`.
@@ -299,15 +297,15 @@ def _mechanise(nav, inc, dt, C):
     nav[2] = h - md * dt
     nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
     # C exp([th x]): each row turned by -th; then exp(-[w dt x]) C: each column turned by -w dt
-    a, b = _rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
-    d0, d1, d2 = _turned(-a, b, th0, th1, th2, c0, c1, c2)
-    d3, d4, d5 = _turned(-a, b, th0, th1, th2, c3, c4, c5)
-    d6, d7, d8 = _turned(-a, b, th0, th1, th2, c6, c7, c8)
+    a, b = rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
+    d0, d1, d2 = rotated(-a, b, th0, th1, th2, c0, c1, c2)
+    d3, d4, d5 = rotated(-a, b, th0, th1, th2, c3, c4, c5)
+    d6, d7, d8 = rotated(-a, b, th0, th1, th2, c6, c7, c8)
     x, y, z = wn * dt, we * dt, wd * dt
-    a, b = _rodrigues(x * x + y * y + z * z)
-    d0, d3, d6 = _turned(-a, b, x, y, z, d0, d3, d6)
-    d1, d4, d7 = _turned(-a, b, x, y, z, d1, d4, d7)
-    d2, d5, d8 = _turned(-a, b, x, y, z, d2, d5, d8)
+    a, b = rodrigues(x * x + y * y + z * z)
+    d0, d3, d6 = rotated(-a, b, x, y, z, d0, d3, d6)
+    d1, d4, d7 = rotated(-a, b, x, y, z, d1, d4, d7)
+    d2, d5, d8 = rotated(-a, b, x, y, z, d2, d5, d8)
     nav[6], nav[7], nav[8], nav[9], nav[10], nav[11], nav[12], nav[13], nav[14] = d0, d1, d2, d3, d4, d5, d6, d7, d8
     C[0], C[1], C[2] = 0.5 * (c0 + d0), 0.5 * (c1 + d1), 0.5 * (c2 + d2)
     C[3], C[4], C[5] = 0.5 * (c3 + d3), 0.5 * (c4 + d4), 0.5 * (c5 + d5)
@@ -340,8 +338,7 @@ def _take_errors_off(inc, xd, dt, seen, kinds, gain):
             inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, dt, drv, work):
     """One strapdown step by increments of which the drive's errors have been taken off; leaves the elements of its
     transition, of second order in dt, in `work` for `_carried`. Where no force is felt it is the one at rest.
@@ -430,8 +427,7 @@ def _carry_directly(X, work, C, moving, Phi_ends):
         _carry_panel(Z, Z[9 * WIDE :], f[0], f, C)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _carry_constants(X, work, C, seen, moving, Phi_ends):
     """The same where constants follow the states that move: from one of the panels of the transition on."""
     size, E, G = _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
@@ -450,8 +446,7 @@ def _carry_constants(X, work, C, seen, moving, Phi_ends):
         _carry_panel(Z, errors, by, f, C)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
     """Rows 0 to 8 of X (panels of matrices with a row for each state that moves) from the left by the transition of one
     step, see `_carried`.
@@ -486,8 +481,7 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
         _carry_panel(Z, E, 1.0 if constant else dt, f, C)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_rows(X, Phid, diagonal, T, moving):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
     k = moving - 9
@@ -526,8 +520,7 @@ def _transpose(X, m):
         exchange(X, one, other, one, other)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
     k = moving - 9
@@ -594,8 +587,7 @@ def _add_both(Q, i, j, value, m):
         Q[_place(j, i, m)] += value
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_noise(dt, drv, Cr, Q, moving):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
     period per second.
@@ -626,8 +618,7 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
                     _add_both(Q, 3 + j, i, way, moving)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(dt, drv, seen, begin, end, varying, work):
     """Take the calibration errors off the increments, and note how each element of M enters, by what its axis reads: as
     one of the pairs from begin to end if these vary (by a rate, which over no time at all is no number, and nothing to
@@ -658,8 +649,7 @@ def _note_calibration(xd, drv):
         drv[CALIBRATION + int(drv[ELEMENTS + q])] = xd[len(xd) - elements + q]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _constants(Phid, Qd, drv):
     """How many of the drive's last states never change by themselves: all elements of M, or none."""
     elements = int(drv[CALIBRATED])
@@ -669,8 +659,7 @@ def _constants(Phid, Qd, drv):
     return elements
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
     first the states of its error models, then the elements of M, whose gains follow from the readings (of the axis in
@@ -707,8 +696,7 @@ def _is_diagonal(A, k):
     return True
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X, m, moving):
     """Fill panels X with the rows of the states that move, of a matrix of m columns at the beginning of M, which is
     longer.
@@ -722,8 +710,7 @@ def _to_panels(M, X, m, moving):
             copy_row(X, begin + i * WIDE, M, int(0), int(0))
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M, m, moving):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space, or
     begins the row of a constant, with zeros.
@@ -790,8 +777,7 @@ def _room(m):
     return WIDE + 2 * _high(m) * _high(m) + GAINS + 6 * (m - 9) + 6 * _high(m) + WIDE * (m - 9)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m, moving):
     """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines; those
     of Q; and work, see `GAINS`.
@@ -850,8 +836,7 @@ def _trace(nav, xd, row):
         row[17 + i] = xd[i]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _trace_panels(nav, xd, acc, both, Q, moving, trace, n):
     """What a sample leaves, into row n; rows of constants, and their columns of Q, are those of acc."""
     row, m = trace[n], acc.shape[1]
@@ -864,8 +849,7 @@ def _trace_panels(nav, xd, acc, both, Q, moving, trace, n):
     _from_panels(Q, row[8 + m + m * m :], m, moving)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     m = 9 + len(xd)
     moving = m - _constants(Phid, Qd, drv)
@@ -905,8 +889,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen)
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     m = 9 + len(xd)
     moving = m - _constants(Phid, Qd, drv)
@@ -1211,8 +1194,7 @@ def _evenly(drv, place, change, usual, now, variance, span):
         drv[place + i] = share * now[i]
 
 
-@apart
-@njit(cache=True, error_model="numpy")
+@njit(apart=True, cache=True, error_model="numpy")
 def _hold_on(nav, xd, drv, dt, F):
     """Go on evenly for `dt` seconds, or back: the vehicle turns, and its velocity in b changes, as between the last two
     samples. F: transition of errors, but for the drive's states.
@@ -1222,14 +1204,14 @@ def _hold_on(nav, xd, drv, dt, F):
     for i in range(9):
         F[i, i] = 1.0
     x, y, z = dt * drv[TURNING], dt * drv[TURNING + 1], dt * drv[TURNING + 2]
-    p, q = _rodrigues(x * x + y * y + z * z)
+    p, q = rodrigues(x * x + y * y + z * z)
     flow, half = int(drv[CURRENT]), 0.5 * dt
     north, east = (xd[flow], xd[flow + 1]) if flow >= 0 else (0.0, 0.0)
     # through the water, which does not turn
     v0, v1, v2 = nav[3] - north, nav[4] - east, nav[5]
     R, C, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for i in range(3):
-        C[i, 0], C[i, 1], C[i, 2] = _turned(-p, q, x, y, z, nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i])
+        C[i, 0], C[i, 1], C[i, 2] = rotated(-p, q, x, y, z, nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i])
     for i in range(3):
         v[i] = dt * (C[i, 0] * drv[GAINING] + C[i, 1] * drv[GAINING + 1] + C[i, 2] * drv[GAINING + 2])
         for j in range(3):
@@ -1265,8 +1247,7 @@ def _hold_on(nav, xd, drv, dt, F):
             nav[6 + 3 * i + j] = C[i, j]
 
 
-@apart
-@njit(cache=True, error_model="numpy")
+@njit(apart=True, cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
@@ -1457,13 +1438,13 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             if par >= 0:
                 g0, g1, g2 = 1.0 + xd[par], 1.0 + xd[par + step], 1.0 + xd[par + 2 * step]
                 a, b, c = xd[par + 2 * step + 1], xd[par + 2 * step + 2], xd[par + 2 * step + 3]
-            p, q = _rodrigues(a * a + b * b + c * c)
+            p, q = rodrigues(a * a + b * b + c * c)
             for i in range(3):
                 # row i of C M, then times the inverse of (1 + scale) R(misalignment)
                 r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
                 r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
                 r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
-                r0, r1, r2 = _turned(p, q, a, b, c, r0, r1, r2)
+                r0, r1, r2 = rotated(p, q, a, b, c, r0, r1, r2)
                 J[3 + i, 3], J[3 + i, 4], J[3 + i, 5] = r0 / g0, r1 / g1, r2 / g2
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
@@ -1541,8 +1522,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             turned = par + 2 * step + 1
             a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]
             angle2 = a * a + b * b + c * c
-            p, q = _rodrigues(angle2)
-            t0, t1, t2 = _turned(p, q, a, b, c, err[0], err[1], err[2])
+            p, q = rodrigues(angle2)
+            t0, t1, t2 = rotated(p, q, a, b, c, err[0], err[1], err[2])
             # a change of m turns further, by I + q [m x] + third [m x]^2 of it
             third = (1.0 - p) / angle2 if angle2 > 1e-3 else (1.0 - angle2 / 20.0 * (1.0 - angle2 / 42.0)) / 6.0
             for i in range(9):
@@ -1555,7 +1536,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                     F[i, 11 + par] -= j2 * t2
                 j0, j1, j2 = (1.0 + xd[par]) * j0, (1.0 + xd[par + step]) * j1, (1.0 + xd[par + 2 * step]) * j2
                 y0, y1, y2 = t1 * j2 - t2 * j1, t2 * j0 - t0 * j2, t0 * j1 - t1 * j0
-                y0, y1, y2 = _turned(-q, third, a, b, c, y0, y1, y2)
+                y0, y1, y2 = rotated(-q, third, a, b, c, y0, y1, y2)
                 F[i, 9 + turned] -= y0
                 F[i, 10 + turned] -= y1
                 F[i, 11 + turned] -= y2

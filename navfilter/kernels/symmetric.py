@@ -1,11 +1,8 @@
 """Parts of symmetric matrices, eight numbers at a time."""
 
-from navfilter.kernels.compiling.decorators import apart, njit
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit
 from navfilter.kernels.compiling.registers import eight, put
 from navfilter.kernels.compiling.vectors import WIDE, mirror
-
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
-UNCOUNTED: dict = {"_nrt": False}
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -17,8 +14,7 @@ def copy(of, to):
     put(to, last, eight(of, last))
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def mirror_columns(T, M, rows, begin):
     """The columns from `begin` on of so many leading rows of T, eight at least, into M, and across its diagonal."""
     n = M.shape[0]
@@ -45,8 +41,7 @@ def symmetrise(M, first):
             M[j, i] = s
 
 
-@apart
-@njit(cache=True, **UNCOUNTED)
+@njit(apart=True, cache=True, **UNCOUNTED)
 def mirror_rows(M, first, last):
     """Columns of a symmetric M become what its rows first to last, nine at most, are now; but not in those rows."""
     n, high = M.shape[0], max(last, WIDE)

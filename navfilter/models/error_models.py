@@ -175,11 +175,17 @@ def sum_of(parts: Sequence[ErrorModel]) -> ErrorModel:
     return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
 
 
-def checked_number(name: str, value: float | None, *, zero_ok: bool = True) -> None:
-    """Raises ValueError where a setting of a description is no finite number, or negative, or zero and may not be."""
-    if not (value is not None and math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
-        bound = ">= 0" if zero_ok else "> 0"
-        raise ValueError(f"{name} must be a finite number {bound}, found {value!r}.")
+def check_numbers(of: object, *names: str, zero_ok: bool = True, usual: str = "") -> None:
+    """Raises ValueError where a setting of a description is no finite number, or negative, or zero and may not be; None
+    is fine where it is the default.
+    """
+    for name in names:
+        value, left_out = getattr(of, name), getattr(type(of), name, math.nan)
+        if value is None and left_out is None:
+            continue
+        if not (value is not None and math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
+            bound, hint = ">= 0" if zero_ok else "> 0", f" Usual: {usual}." if usual else ""
+            raise ValueError(f"{type(of).__name__}.{name} must be a finite number {bound}, found {value!r}.{hint}")
 
 
 def _square(values: ArrayLike, n: int) -> Array:
@@ -213,7 +219,7 @@ class White(ErrorModel):
             raise ValueError(
                 f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}."
             )
-        checked_number("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)
+        check_numbers(self, "sd", "density")
 
     def block(self, period_s: float) -> Block:
         """Discretise: no state, only a white variance."""
@@ -245,9 +251,7 @@ class RandomWalk(ErrorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_number("RandomWalk.density", self.density)
-        if self.start_sd is not None:
-            checked_number("RandomWalk.start_sd", self.start_sd)
+        check_numbers(self, "density", "start_sd")
 
     def block(self, period_s: float) -> Block:
         """Discretise: exact for any period."""
@@ -287,8 +291,8 @@ class GaussMarkov(ErrorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_number("GaussMarkov.sd", self.sd)
-        checked_number("GaussMarkov.tau_s", self.tau_s, zero_ok=False)
+        check_numbers(self, "sd")
+        check_numbers(self, "tau_s", zero_ok=False)
         if self.order not in CORRELATION_CONSTANTS:
             raise ValueError(
                 f"GaussMarkov.order must be 1, 2, 3 or 4, found {self.order!r}. For other orders use Arma."
@@ -351,7 +355,7 @@ class Arma(ErrorModel):
                 raise ValueError(f"Arma.{name} must be finite numbers in a sequence, as [-0.8], found {given!r}.")
             values = tuple(map(float, given))
             object.__setattr__(self, name, values)
-        checked_number("Arma.sd", self.sd)
+        check_numbers(self, "sd")
         if not is_stable(np.array(self.ar)):
             radius = max(abs(np.roots([1.0, *self.ar])))
             raise ValueError(
@@ -480,8 +484,8 @@ class Cycle(ErrorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("sd", "period_s", "tau_s"):
-            checked_number(f"Cycle.{name}", getattr(self, name), zero_ok=name == "sd")
+        check_numbers(self, "sd")
+        check_numbers(self, "period_s", "tau_s", zero_ok=False)
 
     def block(self, period_s: float) -> Block:
         """Discretise: exact for any period."""

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.error_models import ErrorModel, RandomWalk, per_axis, sum_of
 
 Errors = ErrorModel | tuple[ErrorModel, ...]
@@ -94,7 +94,7 @@ def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
     return any(isinstance(part, FaultBias) and part.density > 0.0 for model in each for part in model.terms)
 
 
-def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> NDArray[np.int64]:
+def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> Ints:
     """Which states of the error models of a sensor are its offsets, axis by axis, or of one axis only; empty where it
     has none.
     """
@@ -107,7 +107,7 @@ def proportions(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[i
     return [(at, part.at_m_s) for _, at, part in _places(models, period_s) if isinstance(part, FaultScale)]
 
 
-def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[Ints, Array]:
     """States of each `FaultDeviation`, shape (k,), and the heading at which it is the error [rad], shape (k,)."""
     found = [(at, part.of_rad) for _, at, part in _places(models, period_s) if isinstance(part, FaultDeviation)]
     table = np.array(found, dtype=np.float64).reshape(-1, 2)

@@ -11,14 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Complex
 from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
-
-Complex = NDArray[np.complex128]
 
 #: A correlation that falls to 1/e within this many samples is the device's own filtering, not drift.
 SHORT_SAMPLES = 3.0
@@ -254,9 +252,9 @@ def _left_over(model: ArmaModel, poles: Complex, power: list[float]) -> float:
 
 
 def _name(part: Component, rate_hz: float) -> str:
-    tau = f"tau = {_time(part.tau_s)}"
+    tau = f"tau = {seconds_text(part.tau_s)}"
     if 0.0 < part.tau_sd_s < part.tau_s:
-        tau += f" +- {_time(part.tau_sd_s)}"
+        tau += f" +- {seconds_text(part.tau_sd_s)}"
     where = "near Nyquist" if part.freq_hz > 0.45 * rate_hz else f"at {number(part.freq_hz, 3)} Hz"
     return {
         "random walk": "random-walk bias",
@@ -283,7 +281,7 @@ def _size(part: Component, rate_hz: float, unit: str) -> str:
         name += " near Nyquist" if part.freq_hz > 0.45 * rate_hz else f" at {number(part.freq_hz, 3)} Hz"
     size = f"sd {number(part.sd)}{' ' + unit if unit else ''}"
     return f"{name} {size}" + (
-        f", lasting {_time(part.tau_s)}" if part.kind in ("line", "oscillation", "short") else ""
+        f", lasting {seconds_text(part.tau_s)}" if part.kind in ("line", "oscillation", "short") else ""
     )
 
 
@@ -294,7 +292,8 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:#.{digits}g}".rstrip(".") if 1e-4 <= abs(value) < 1e6 else f"{value:.{digits - 1}e}"
 
 
-def _time(seconds: float) -> str:
+def seconds_text(seconds: float) -> str:
+    """A time in words."""
     return f"{number(seconds, 2)} s" if seconds < 10.0 else f"{seconds:.0f} s"
 
 

@@ -11,22 +11,18 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement
 from navfilter.filter.imu_intake import joined
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.learning_memory import LearningMemory, RerunRequest
+from navfilter.navigation.run import Run
 from navfilter.navigation.runner import Rerun
-
-if TYPE_CHECKING:
-    from navfilter.navigation.run import Run
-
-Array = NDArray[np.float64]
 
 
 class EarlyRerun:

@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import joined
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
-
-Array = NDArray[np.float64]
 
 
 class Restorable(Protocol):
@@ -56,7 +54,6 @@ class History:
 
     def __init__(self, run: Restorable, length_s: float, sensors: Sequence[str]) -> None:
         self.run, self.length_s, self.sensors = run, length_s, list(sensors)
-        self.replayed_s = 0.0
         self.start_here()
 
     def start_here(self) -> None:
@@ -114,9 +111,8 @@ class History:
         readings = (item for item, _ in self.inputs if isinstance(item, Measurement))
         if any(item.name == reading.name and item.time_s == reading.time_s for item in readings):
             return Outcome("duplicate")
-        marked_s, number, memory = self._marks[at]
+        _, number, memory = self._marks[at]
         again = self.inputs[number - self._first :]
-        self.replayed_s += self.run.time_s - marked_s
         del self.inputs[number - self._first :], self._marks[at:]
         self.marked_s = self._marks[-1][0] if self._marks else -math.inf
         self.run.memory = memory

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import ctypes
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.events import Measurement, Outcome
-from navfilter.filter.input_buffer import PIECE
+from navfilter.filter.filter import Filter
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.input_buffer import PIECE, InputBuffer
 from navfilter.kernels import batch, open_loop_residual, strapdown
 from navfilter.learning.schedule import UNHEARD
-
-if TYPE_CHECKING:
-    from navfilter.filter.filter import Filter
-    from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.input_buffer import InputBuffer
-    from navfilter.navigation.run import Run
+from navfilter.navigation.run import Run
 
 Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long

@@ -9,7 +9,7 @@ import math
 from os import PathLike
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.memory import MonitorMemory
@@ -22,6 +22,7 @@ from navfilter.filter.imu_intake import samples_of
 from navfilter.filter.model_change import Change
 from navfilter.filter.records import Tape
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import ChannelSeries
@@ -40,8 +41,6 @@ from navfilter.navigation.status import NavigatorStatus, health_of, state_of
 from navfilter.navigation.waiting import MeasurementQueue
 
 __all__ = ["Outcome"]
-
-Array = NDArray[np.float64]
 
 
 class Navigator(NavigatorStatus):
@@ -379,24 +378,9 @@ class Navigator(NavigatorStatus):
         return self.filter.memory.intake.offset_s
 
     @property
-    def counts(self) -> dict[str, int]:
-        """Irregularities so far, see `Health.drive`."""
-        return self.filter.counts
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Estimates of all error states and parameters by name."""
-        return self.filter.errors
-
-    @property
     def pose(self) -> Pose:
         """Where it is, how it moves and points, now, in plain numbers: for every sample."""
         return Pose.unpack(self.filter.memory.time_s, self.filter.memory.nav)
-
-    @property
-    def covariance(self) -> Array:
-        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9): that of `state`, by itself."""
-        return self.filter.present[:81].reshape(9, 9)
 
     @property
     def state(self) -> NavState:

@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome
 from navfilter.filter.filter import Filter
+from navfilter.foundation.arrays import Array
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.alternative import Alternative
 from navfilter.navigation.history import History
 from navfilter.navigation.waiting import MeasurementQueue
-
-Array = NDArray[np.float64]
 
 
 class Run(Protocol):

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults import noise_scale, sensor_bias
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
@@ -17,14 +16,13 @@ from navfilter.filter.events import Measurement
 from navfilter.filter.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, InputBuffer
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel, usable
+from navfilter.foundation.arrays import Array, Ints, Mask
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import open_loop_residual, strapdown
-from navfilter.navigation.measurements import MeasurementSequence
+from navfilter.navigation.recorded_inputs import MeasurementSequence
 from navfilter.navigation.run import Run
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Output = tuple[Array, Array, Array, Ints, Array]
 Hearing = tuple[Array, Array, Ints, Array]
 #: So many readings and samples are laid out at a time: 4 MB.
@@ -94,7 +92,7 @@ class BatchRunner:
     def _watched(self) -> list[SensorMonitor]:
         return [self.nav.sensor_monitors[name] for name in self._readings.names]
 
-    def _repeated(self) -> NDArray[np.bool_]:
+    def _repeated(self) -> Mask:
         """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
         readings = self._readings
         same = np.zeros(len(readings.time_s), bool)
@@ -443,7 +441,7 @@ class Rerun(BatchRunner):
     def _watched(self) -> list[SensorMonitor]:
         return [SensorMonitor(math.inf, math.inf) for _ in self._readings.names]
 
-    def _repeated(self) -> NDArray[np.bool_]:
+    def _repeated(self) -> Mask:
         return self._as_before
 
     def _lay_out(self) -> None:

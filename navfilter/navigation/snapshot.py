@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults.clocks.imu_clock import DriveClockMemory
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.start import Start
@@ -62,7 +62,7 @@ class SnapshotContent:
     start: Start
     history_s: float
     memory: Any
-    inputs: list[NDArray[np.float64] | Measurement]
+    inputs: list[Array | Measurement]
     watches: dict[str, SensorMonitor]
     clock: DriveClockMemory
     waiting: list[Measurement]

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults import fault_bank, protection_level, settings
 from navfilter.faults.alternative_path import since_fix
@@ -19,17 +18,36 @@ from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.filter import Filter
 from navfilter.filter.sensor_channel import Channel
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown
 from navfilter.models.during import same_sensor
 from navfilter.models.health import CALM, Bounds, Health, LearningHealth, SensorHealth
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.state import NavState
 
-Array = NDArray[np.float64]
-
 
 class NavigatorStatus(Shown):
     """What navigators share: how they show themselves, and what a copy of one is."""
+
+    @property
+    def _in_force(self) -> Filter:
+        now: Any = self
+        return getattr(now, "believed", now).filter
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Irregularities so far, see `Health.drive`; of several lanes those of the one in force."""
+        return self._in_force.counts
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Estimates of all error states and parameters by name; of several lanes those of the one in force."""
+        return self._in_force.errors
+
+    @property
+    def covariance(self) -> Array:
+        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9): that of `state`, by itself."""
+        return self._in_force.present[:81].reshape(9, 9)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # for copy and pickle: what a navigator holds of threads, kernels and views of memory can be made only anew
@@ -39,7 +57,7 @@ class NavigatorStatus(Shown):
     def _shown(self) -> tuple[str, dict[str, object]]:
         now: Any = self
         title, rows = now.state._shown()
-        filter = getattr(now, "believed", now).filter
+        filter = self._in_force
         learns = {name: s.models for name, s in filter.in_force.sensors.items() if any(map(learning_part, s.models))}
         rows |= {f"error of {name}": ", ".join(dict.fromkeys(map(str, models))) for name, models in learns.items()}
         return f"{type(self).__name__} of {now.vehicle.name}, {title.removeprefix('NavState ')}", rows

@@ -8,17 +8,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import Tape
 from navfilter.filter.rts_smoother import smooth_rows
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.parameters import constant_parameters
 from navfilter.models.state import euler_from_matrix, rotation_matrix
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.track_bounds import bounds_along
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: So many rows are corrected at a time: what is needed for that on the way is to be small beside a track.
 PIECE = 8192
 #: Rows and columns of the covariance of navigation.
@@ -47,11 +46,11 @@ class _Rows:
         if any(len(tape.layouts) > 1 for tape, _ in parts) or len(parts) > 1:
             self.x[:], self.variance[:] = np.nan, np.nan
 
-    def places(self, tape: Tape) -> list[NDArray[np.int64]]:
+    def places(self, tape: Tape) -> list[Ints]:
         """Columns of the states of each layout of a tape."""
         return [np.array([self.at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
 
-    def stay(self, places: NDArray[np.int64], state: Array, P: Array, variance: Array) -> bool:
+    def stay(self, places: Ints, state: Array, P: Array, variance: Array) -> bool:
         """Leave all rows where they stand, as views, if they are of one layout whose states are in this order."""
         alike = len(state) == len(self.time_s) and np.array_equal(places, np.arange(len(self.names)))
         if alike:
@@ -59,13 +58,7 @@ class _Rows:
         return alike
 
     def put(
-        self,
-        begin: int,
-        places: NDArray[np.int64],
-        state: Array,
-        P: Array,
-        variance: Array,
-        correction: Array | float = 0.0,
+        self, begin: int, places: Ints, state: Array, P: Array, variance: Array, correction: Array | float = 0.0
     ) -> None:
         """Some rows from that number on: nominal and error states (q, 17 + k), covariances (q, 9, 9), variances (q, k),
         and what is to be added to the k error states.

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults import settings
 from navfilter.faults.alternative_path import believable
 from navfilter.faults.protection_level import bounds, whole_offset
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.arrays import Array, Ints, Mask
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.fault_bias import has_offset, wanders
-
-if TYPE_CHECKING:
-    from navfilter.models.sensors import Sensor
-    from navfilter.track.track import Track
-
-Array = NDArray[np.float64]
+from navfilter.models.sensors import Sensor
+from navfilter.track.track import Track
 
 
 def bounds_along(track: Track, unnoticed: Array) -> Array:
@@ -74,7 +70,7 @@ def _off(track: Track, name: str) -> Array:
     return np.asarray(off)
 
 
-def _beat(value: Array, sd: Array, refused: NDArray[np.bool_], limit: float) -> NDArray[np.int64]:
+def _beat(value: Array, sd: Array, refused: Mask, limit: float) -> Ints:
     """Which fixes the state was set to against what was believed before: used after one that was refused, and beyond
     what the gate would have passed of that one.
     """
@@ -132,7 +128,7 @@ def _since_fix(track: Track, fixes: list[Residuals]) -> tuple[Array, Array]:
     return track.time_s - times[last], np.hypot(north - then[0], east - then[1])
 
 
-def _so_far(times: Array, now_s: Array) -> NDArray[np.int64]:
+def _so_far(times: Array, now_s: Array) -> Ints:
     """How many of some times have come by each of many others; both in order."""
     first = np.searchsorted(now_s, times)
     return np.bincount(first, minlength=len(now_s) + 1)[: len(now_s)].cumsum()

@@ -13,7 +13,7 @@ class MeasurementQueue:
 
     A time offset is found from how the vehicle moved when the reading was taken. When the stamp may be early, that lies
     in the future; so such a reading is taken `Sensor.lead_s` after its stamp, and the state is carried back
-    (`navfilter.navigation.measurements`). Live and in a replay it is the same.
+    (`navfilter.kernels.delayed_state`). Live and in a replay it is the same.
 
     Attributes
     ----------

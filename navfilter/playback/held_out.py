@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfc, gammaincc
 
 from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.arguments import within
+from navfilter.foundation.arrays import Mask
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.sensors import Sensor
@@ -252,7 +252,7 @@ def _together(one: Stream, other: Stream) -> Stream:
     return Stream(time_s[order], np.concatenate([one.value, other.value])[order], one.columns, sd)
 
 
-def _fixes(sensor: Sensor, readings: Stream, track: Track) -> NDArray[np.bool_]:
+def _fixes(sensor: Sensor, readings: Stream, track: Track) -> Mask:
     """Which rows are fixes and lie inside the track."""
     good = np.array([sensor.read(value) is not None for value in readings.value], dtype=bool)
     good &= (readings.time_s >= track.time_s[0]) & (readings.time_s <= track.time_s[-1])

@@ -23,9 +23,8 @@ from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.tracks import replayed_lanes
-from navfilter.navigation.measurements import MeasurementSequence
 from navfilter.navigation.navigator import Navigator
-from navfilter.navigation.recorded_inputs import drive_samples, readings_of
+from navfilter.navigation.recorded_inputs import MeasurementSequence, drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner
 from navfilter.navigation.track_assembly import bar, forward_track, smoothed_track
 from navfilter.playback.instructions import instructed

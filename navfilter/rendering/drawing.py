@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from navfilter.foundation.arrays import Array
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.panels import Band, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.rendering.thinning import broken, envelope, extremes
@@ -64,11 +63,6 @@ def colour(number: int) -> tuple[str, Any]:
     return COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)]
 
 
-def line(ax: Axes, time: Array, value: Array, **options: Any) -> None:
-    """Draw a series, thinned, with its gaps left open."""
-    ax.plot(*envelope(*broken(time, value)), **options)
-
-
 def no_formula(text: str) -> str:
     """Text of people, which is no formula whatever signs are in it."""
     return text.replace("$", r"\$")
@@ -88,7 +82,7 @@ def draw(stack: Stack, clock: Clock | None = None) -> Figure:
     axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     x = (lambda values: values) if stack.x_label else clock
     for row, (ax, panel) in enumerate(zip(axes, stack.panels, strict=True)):
-        handles = {part.label: _drawn(ax, part, x, not stack.x_label) for part in panel.parts}
+        handles = {part.label: _drawn(ax, part, x, not stack.log_x) for part in panel.parts}
         if panel.level is not None:
             low, high = panel.level.low, panel.level.high
             handles[panel.level.label] = ax.axhspan(low, high, color=LEVEL, alpha=0.4, linewidth=0, zorder=0)
@@ -110,16 +104,16 @@ def draw(stack: Stack, clock: Clock | None = None) -> Figure:
 LEVEL = "#bbbbbb"
 
 
-def _drawn(ax: Axes, part: Part, x: Any, over_time: bool) -> Any:
-    """Draw one part; what the legend shows of it."""
+def _drawn(ax: Axes, part: Part, x: Any, linear: bool) -> Any:
+    """Draw one part, thinned and with its gaps left open where x is linear; what the legend shows of it."""
     if isinstance(part, Band):
-        t, low, high = extremes(*(broken(part.x, part.low, part.high) if over_time else (part.x, part.low, part.high)))
+        t, low, high = extremes(*(broken(part.x, part.low, part.high) if linear else (part.x, part.low, part.high)))
         return ax.fill_between(x(t), low, high, color=part.hue, alpha=part.alpha, linewidth=0.0)
     if isinstance(part, Points):
         filled = "none" if part.marker == "D" else part.hue
         size = {".": 2.5, "o": 3.0}.get(part.marker, 4.0)
         return ax.plot(x(part.x), part.y, part.marker, color=part.hue, markerfacecolor=filled, markersize=size)[0]
-    series = envelope(*broken(part.x, part.y)) if over_time and not part.steps else (part.x, part.y)
+    series = envelope(*broken(part.x, part.y)) if linear and not part.steps else (part.x, part.y)
     how: dict[str, Any] = {"color": part.hue, "linestyle": part.dash, "linewidth": part.width}
     return ax.plot(x(series[0]), series[1], drawstyle="steps-post" if part.steps else "default", **how)[0]
 

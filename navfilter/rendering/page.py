@@ -75,13 +75,7 @@ def resource(name: str, package: str = "navfilter.rendering") -> str:
     return (files(package) / name).read_text(encoding="utf-8")
 
 
-def page(
-    title: str,
-    heading: str,
-    subtitle: str,
-    body: Iterable[str | Section],
-    scripts: Scripts | None = None,
-) -> str:
+def page(title: str, heading: str, subtitle: str, body: Iterable[str | Section], scripts: Scripts | None = None) -> str:
     """A page that needs nothing but itself, readable on a phone and in print.
 
     Parameters

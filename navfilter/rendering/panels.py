@@ -42,6 +42,12 @@ class Line:
     steps: bool = False
 
 
+def stems(x: Array, low: Array, high: Array, hue: str, width: float = 1.1) -> Line:
+    """A vertical line at each x."""
+    ends = np.column_stack([low, high, np.full(len(x), np.nan)])
+    return Line(np.repeat(x, 3), ends.ravel(), "", hue, width=width)
+
+
 @dataclass(frozen=True, eq=False)
 class Band:
     """The area between two series over the same x."""

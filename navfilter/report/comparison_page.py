@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from navfilter.evaluation.comparison import Comparison
 from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.evaluation.learned_text import in_force, learnt
 from navfilter.foundation.arrays import Array
-from navfilter.io.tracks.atomic_files import replacing
 from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.clock import clock_of
 from navfilter.rendering.drawing import colour
@@ -32,14 +29,10 @@ from navfilter.track.track import Tracks
 _PANELS = 8
 
 
-def write_comparison(
-    comparison: Comparison,
-    tracks: Tracks,
-    mission: Mission,
-    path: str | os.PathLike[str],
-    progress: Callable[[], Any] | None = None,
-) -> Path:
-    """Write `render_comparison` to a file.
+def render_comparison(
+    comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None
+) -> str:
+    """One HTML page with table and figures of all runs. It loads nothing, see `navfilter.report.report`.
 
     Parameters
     ----------
@@ -47,20 +40,9 @@ def write_comparison(
     tracks : dict of str to Track
         What was compared.
     mission : Mission
-    path : path-like
-        Of the .html.
     progress : callable, optional
         Called after each figure.
     """
-    with replacing(path) as file:
-        file.write(render_comparison(comparison, tracks, mission, progress))
-    return Path(path)
-
-
-def render_comparison(
-    comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None
-) -> str:
-    """One HTML page with table and figures of all runs. It loads nothing, see `navfilter.report.report`."""
     first = next(iter(tracks.values()))
     instrument = Instrument(clock_of(tracks, mission), first, first, progress)
     notes = f"<p>{escape(' '.join(comparison.notes()))}</p>"

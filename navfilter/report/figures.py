@@ -11,7 +11,7 @@ import numpy as np
 
 from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.arrays import Array
-from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.foundation.chi_square import chi_square_range
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.playback.backward import Apart
@@ -194,7 +194,7 @@ def consistency_figure(tracks: Tracks, truth: Stream) -> Stack | None:
             nees = np.maximum(track.nees(errors[label])[name], 1e-3)
             parts.append(Line(track.time_s, nees, label, *colour(number)))
             top = max(top, 1.3 * _quantile(nees, 1.0))
-        low, high = (float(chi_square_limit(p, dof)) / dof for p in (0.025, 0.975))
+        low, high = map(float, chi_square_range(dof))
         level = Level(max(low, 1e-3), high, "95 % of chi-square")
         limits = (1e-2, top)
         panels.append(Panel(f"{name}\nNEES per dof", tuple(parts), limits, log=True, lines_at=(1.0,), level=level))
@@ -269,7 +269,7 @@ def moving_nis(track: Track, name: str) -> tuple[Array, Array, Array, Array]:
     nis_sum, dof_sum = (np.concatenate([[0.0], np.cumsum(x)]) for x in (nis, dof))
     count = dof_sum[window:] - dof_sum[:-window]
     mean = (nis_sum[window:] - nis_sum[:-window]) / count
-    low, high = (chi_square_limit(p, count) / count for p in (0.025, 0.975))
+    low, high = chi_square_range(count)
     middle = t[window // 2 : window // 2 + len(mean)]
     step = max(1, len(mean) // 700)
     middle, mean, low, high = middle[::step], mean[::step], low[::step], high[::step]

@@ -13,8 +13,8 @@ import numpy as np
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 from bokeh.resources import Resources
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour, draw, style, svg
 from navfilter.rendering.page import Scripts, Section, escape, figure_html, resource
@@ -157,14 +157,14 @@ def _rows(clock: Clock, track: Track, origin: Track) -> tuple[dict[str, list[flo
     return plain_rows, {key: plain(name) for key, (name, _, _) in columns.items()}
 
 
-def _states(track: Track, rows: NDArray[np.int64]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+def _states(track: Track, rows: Ints) -> Iterator[tuple[str, str, Array]]:
     """The states worth showing."""
     for state in shown_states(track.vehicle):
         if state.name in track.state_names:
             yield state.name, state.unit, state.factor * track.state(state.name)[0][rows]
 
 
-def _innovations(track: Track, time_s: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _innovations(track: Track, time_s: Array) -> Iterator[tuple[str, Array]]:
     """Of each axis of each sensor, the latest reading used at these times, in units of what was predicted."""
     for name, r in track.residuals.items():
         if name not in track.vehicle.sensors or not len(r.time_s):

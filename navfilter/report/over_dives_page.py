@@ -10,6 +10,7 @@ import numpy as np
 
 from navfilter.calibration.over_dives import OverDives
 from navfilter.evaluation.over_dives_text import AxisSpectra, axis_spectra, learnt_lines
+from navfilter.io.write import write_text
 from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour, draw, style, svg
 from navfilter.rendering.page import Section, figure_html, list_html, page, table_html
@@ -40,9 +41,7 @@ def write_over_dives_page(result: OverDives, path: str | os.PathLike[str]) -> Pa
     ]
     counted = f"{len(result.counted)} dive{'s' * (len(result.counted) > 1)}: "
     counted += ", ".join(name for name, _ in result.counted)
-    path = Path(path)
-    path.write_text(page("navfilter learn", result.vehicle.name, counted, body), encoding="utf-8")
-    return path
+    return write_text(page("navfilter learn", result.vehicle.name, counted, body), path)
 
 
 def _figures(result: OverDives, name: str) -> Iterator[str]:

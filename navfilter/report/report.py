@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Evide
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
 from navfilter.evaluation.verdict import Verdict
 from navfilter.filter.records import OUTCOMES
-from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.write import summarise
 from navfilter.models.during import same_sensor
 from navfilter.models.mission import Mission, Stream
@@ -32,11 +30,9 @@ from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.constant_table import ABOUT, lights_html
 from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import plan_view
-from navfilter.report.run_tables import headline_rows, sensor_rows
+from navfilter.report.run_tables import Rows, headline_rows, sensor_rows
 from navfilter.report.trust_figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
 from navfilter.track.track import Track, Tracks
-
-Rows = list[list[str]]
 
 _SURFACING = (
     "A surfacing is the first fix after a time without any: its horizontal distance from what was predicted for it, in "
@@ -54,38 +50,6 @@ OUTAGES = ("#8c6bb1", "#7fa8c9", "#c9a227", "#b0647a")
 MOST = 60
 
 
-def write_report(
-    tracks: Tracks,
-    mission: Mission,
-    path: str | os.PathLike[str],
-    progress: Callable[[], Any] | None = None,
-    assessment: Assessment | None = None,
-    beside: Tracks | None = None,
-    tiles: str | os.PathLike[str] | None = None,
-) -> Path:
-    """Write `render_report` to a file.
-
-    Parameters
-    ----------
-    tracks : dict of str to Track
-        Runs by label, see `navfilter.io.write.labelled`.
-    mission : Mission
-    path : path-like
-        Of the .html.
-    progress : callable, optional
-        Called after each figure.
-    assessment : Assessment, optional
-        Default: as `navfilter.evaluation.assessment.assess` makes it.
-    beside : dict of str to Track, optional
-        Other runs by label, shown with these over time and from above.
-    tiles : path-like, optional
-        For a chart under the track, see `navfilter.report.plan_view.chart_of`.
-    """
-    with replacing(path) as file:
-        file.write(render_report(tracks, mission, progress, assessment, beside, tiles))
-    return Path(path)
-
-
 def render_report(
     tracks: Tracks,
     mission: Mission,
@@ -96,6 +60,20 @@ def render_report(
 ) -> str:
     """One HTML page with tables and figures. It loads nothing: what makes the figures live is inside, and without
     scripts they are there all the same.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+        Runs by label, see `navfilter.io.write.labelled`.
+    mission : Mission
+    progress : callable, optional
+        Called after each figure.
+    assessment : Assessment, optional
+        Default: as `navfilter.evaluation.assessment.assess` makes it.
+    beside : dict of str to Track, optional
+        Other runs by label, shown with these over time and from above.
+    tiles : path-like, optional
+        For a chart under the track, see `navfilter.report.plan_view.chart_of`.
     """
     result, first = list(tracks.values())[-1], next(iter(tracks.values()))
     summary = summarise(tracks, mission)

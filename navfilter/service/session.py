@@ -132,6 +132,17 @@ class Session:
         self._warned: dict[str, list[float]] = {}
         self._conditions: dict[str, str] = {}
 
+    @property
+    def _running(self) -> Navigator | LaneNavigator:
+        """The navigator, where there is one."""
+        assert self.nav is not None
+        return self.nav
+
+    @property
+    def _now_s(self) -> float:
+        """Mission time of its state [s]."""
+        return self._running.time_s
+
     def _new_pairing(self) -> Pairing | None:
         drive = self.vehicle.drive
         return None if "imu" in drive.streams else Pairing(drive.period_s, drive.late_s)
@@ -209,19 +220,17 @@ class Session:
             self._ticks()
 
     def _correct(self, reading: Reading) -> None:
-        assert self.nav is not None
         self._flush()
-        outcome = self.nav.correct(reading.sensor, reading.time_s, reading.value, reading.sd)
+        outcome = self._running.correct(reading.sensor, reading.time_s, reading.value, reading.sd)
         if outcome.status == "ahead":  # of the drive; a single one may as well have a wild stamp
-            self._ahead, self._stopped_s = self._ahead + 1 if self._stopped_s == self.nav.time_s else 1, self.nav.time_s
+            self._ahead, self._stopped_s = self._ahead + 1 if self._stopped_s == self._now_s else 1, self._now_s
             if self._ahead >= self.AHEAD and not self._lanes:  # lanes say so themselves
                 self._condition(self._drive_name, "silent")
         self._ticks()
 
     def _is_stalled(self, reading: Reading) -> bool:
         """Whether readings come and come, and time goes no further."""
-        assert self.nav is not None
-        time_s = self.nav.time_s
+        time_s = self._now_s
         if self._moves():
             self._stalled, self._moved_s = 0, time_s
         elif reading.sensor in self.vehicle.driving:
@@ -235,18 +244,16 @@ class Session:
 
     def _stall(self, reading: Reading) -> None:
         """Say once that there is no new state, and that the last one is not to be trusted any more."""
-        assert self.nav is not None
         if self._conditions.get("trust") == "stalled":
             return
         what = "do not rise" if reading.sensor in self.vehicle.driving else "have ended"
         was, self._conditions["trust"] = self._conditions.get("trust", "good"), "stalled"
-        self._conditions["stalled"] = f"the stamps of {self._drive_name} {what}: no state since {self.nav.time_s:.3f} s"
-        self._tell("trust", was=was, time_s=self.nav.time_s, **self._untrusted())
+        self._conditions["stalled"] = f"the stamps of {self._drive_name} {what}: no state since {self._now_s:.3f} s"
+        self._tell("trust", was=was, time_s=self._now_s, **self._untrusted())
         self._state()
 
     def _untrusted(self) -> dict[str, Any]:
         """Fields of a state in place of its own where time goes no further."""
-        assert self.nav is not None
         if self._conditions.get("trust") != "stalled" or self._moves():
             return {}
         return {"trust": "lost", "reasons": [self._conditions["stalled"]]}
@@ -314,10 +321,9 @@ class Session:
 
     def _start_again(self) -> None:
         """When the readings made so little sense that there is no state any more, look for a start in those to come."""
-        assert self.nav is not None
         self._tell(
             "diverged",
-            time_s=self.nav.time_s,
+            time_s=self._now_s,
             text="the state is that of no vehicle any more; aligning again, or give a start line",
         )
         self.nav, self._start, self._align_at_s, self._waited, self._offset_s = None, None, None, "", 0.0
@@ -337,37 +343,32 @@ class Session:
     # ---------------------------------------------------------------- out
     def _next_tick(self) -> None:
         """The first time at which something is due."""
-        assert self.nav is not None
-        t, rate = self.nav.time_s, self.options.rate_hz
+        t, rate = self._now_s, self.options.rate_hz
         self._tick, self._second = math.floor(t * rate + 1e-6), math.floor(t + 1e-6)
         self._due_s = min((self._tick + 1 - 1e-6) / rate, self._second + 1 - 1e-6)
 
     def _ticks(self) -> None:
         """Tell the state when the navigator's time has passed the next multiple of the output's period."""
-        assert self.nav is not None
-        t = self.nav.time_s
+        t = self._now_s
         if t < self._due_s:
             return
         tick, second = self._tick, self._second
         self._next_tick()
         if self._second == second and self._tick == tick:
             return
-        state = self.nav.state
+        state = self._running.state
         if not self._makes_sense(state):
             self._start_again()
             return
         if self._second != second:
-            health = self.nav.health
-            lanes = [
-                (f"lane of {n}", "good" if s.condition == "in-force" else s.condition) for n, s in health.lanes.items()
-            ]
-            lanes = [(name, "good" if condition == "ready" else condition) for name, condition in lanes]
-            for name, condition in [
-                *((n, s.condition) for n, s in health.sensors.items()),
-                *health.axes.items(),
-                *lanes,
-            ]:
+            health = self._running.health
+            for name, sensor in health.sensors.items():
+                self._condition(name, sensor.condition)
+            for name, condition in health.axes.items():
                 self._condition(name, condition)
+            for name, lane in health.lanes.items():
+                well = lane.condition in ("in-force", "ready")
+                self._condition(f"lane of {name}", "good" if well else lane.condition)
             self._lane(health.lane, health.lane_reason)
             self._drive_clock(health.drive_clock_offset_s)
             self._trust(health)
@@ -380,9 +381,8 @@ class Session:
         return speed < self.FASTEST_M_S and height < self.HIGHEST_M and bool(np.isfinite(state.sd).all())
 
     def _state(self) -> None:
-        assert self.nav is not None
-        state = self.nav.state
-        drive = self.nav.counts if self._pairing is None else {**self.nav.counts, **self._pairing.counts}
+        state = self._running.state
+        drive = self._running.counts if self._pairing is None else {**self._running.counts, **self._pairing.counts}
         self._emit(to_line({**state_fields(state), **self._untrusted(), "drive": drive, "bad_lines": self.bad}), True)
 
     def _tell(self, event: str, **fields: Any) -> None:
@@ -394,37 +394,33 @@ class Session:
         if condition != was:
             self._conditions[name] = condition
             if (was, condition) != ("waiting", "good"):
-                assert self.nav is not None
-                self._tell("condition", sensor=name, condition=condition, was=was, time_s=self.nav.time_s)
+                self._tell("condition", sensor=name, condition=condition, was=was, time_s=self._now_s)
 
     def _lane(self, lane: str, reason: str) -> None:
         """Tell when something else carries the state, and why."""
         was = self._conditions.setdefault("lane", lane)
         if lane != was:
-            assert self.nav is not None
             self._conditions["lane"] = lane
-            self._tell("lane", lane=lane, was=was, reason=reason, time_s=self.nav.time_s)
+            self._tell("lane", lane=lane, was=was, reason=reason, time_s=self._now_s)
 
     def _trust(self, health: Health) -> None:
         """Tell when the state is to be trusted more, or less, than before, and why."""
-        assert health.trust is not None and self.nav is not None
+        assert health.trust is not None
         was, now = self._conditions.setdefault("trust", "good"), health.trust.level
         if now != was:
             self._conditions["trust"] = now
-            self._tell(
-                "trust", was="lost" if was == "stalled" else was, time_s=self.nav.time_s, **integrity_fields(health)
-            )
+            said = "lost" if was == "stalled" else was
+            self._tell("trust", was=said, time_s=self._now_s, **integrity_fields(health))
 
     def _drive_clock(self, offset_s: float) -> None:
         """Tell when the clock of the drive alone was set."""
         was = self._conditions.setdefault("drive clock", "0.0")
         if repr(offset_s) != was:
-            assert self.nav is not None
             self._conditions["drive clock"] = repr(offset_s)
             self._tell(
                 "drive-clock",
                 offset_s=offset_s,
-                time_s=self.nav.time_s,
+                time_s=self._now_s,
                 text=f"the clock of {self._drive_name} alone was set by {-offset_s:.3f} s in all; its "
                 "stamps are moved back to those of the others",
             )

@@ -105,11 +105,6 @@ def simulate_scenario(name: str, seed: int, duration_s: float | None = None) -> 
     return vehicle, mission
 
 
-def demo_mission(seed: int = 1) -> tuple[Vehicle, Mission]:
-    """The one-hour mission of the demonstration, see `SCENARIOS`."""
-    return simulate_scenario("demo", seed)
-
-
 def survey_vehicle(*, mems: bool = False) -> Vehicle:
     """AUV with an inertial unit (tactical or micromechanical), compass, DVL, depth gauge and satellite receiver."""
     return Vehicle(

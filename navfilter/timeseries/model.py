@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Complex
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.roots import is_stable, roots_of
 from navfilter.timeseries.stationary import observer, settled
@@ -167,12 +167,12 @@ class ArmaModel(FrozenDescription):
         return is_stable(self.ma)
 
     @property
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """Roots of ``z^p A(z)``, largest first."""
         return roots_of(self.ar)
 
     @property
-    def zeros(self) -> NDArray[np.complex128]:
+    def zeros(self) -> Complex:
         """Roots of ``z^q C(z)``, largest first."""
         return roots_of(self.ma)
 

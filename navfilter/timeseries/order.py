@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.display import Value
 from navfilter.timeseries.diagnostics import Whiteness, whiteness
 from navfilter.timeseries.fit import ArmaFit, Problem, fitted
@@ -45,7 +45,7 @@ class OrderTable(Value):
     hq: Array
     sd: Array
     whiteness: Array
-    is_white: NDArray[np.bool_]
+    is_white: Mask
     best: tuple[int, int]
     fit: ArmaFit
     fits: dict[tuple[int, int], ArmaFit]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import needs
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Complex
 from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.roots import slowest_real
 
@@ -189,7 +189,7 @@ def _drive_power(model: ArmaModel, i: int) -> complex:
     return complex(model.sd**2 * numerator / np.prod(1.0 - others * p) / np.prod(1.0 - others / p))
 
 
-def _white_power(model: ArmaModel, poles: NDArray[np.complex128], drives: NDArray[np.complex128]) -> float:
+def _white_power(model: ArmaModel, poles: Complex, drives: Complex) -> float:
     """What the poles leave over, averaged over frequency (exactly constant when q <= p)."""
     w = 2.0 * np.pi * (np.arange(512) + 0.5) / 512
     z = np.exp(-1j * w)

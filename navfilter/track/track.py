@@ -15,20 +15,18 @@ from navfilter.foundation import utc
 from navfilter.foundation.arguments import intervals, needs, rows_of, within
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Value, often, span
-from navfilter.kernels import strapdown
 from navfilter.models.error_models import block_level
+from navfilter.models.health import LaneHistory
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.models.mission import Stream
 from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
+from navfilter.models.truth import radii
+from navfilter.models.vehicle import Vehicle
+from navfilter.timeseries.model import ArmaModel
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-    from navfilter.models.health import LaneHistory
-    from navfilter.models.vehicle import Vehicle
-    from navfilter.timeseries.model import ArmaModel
-
 _TRUTH = "That of a mission is mission.truth."
 #: Fields with one row per time.
 _BY_ROW = ("time_s", "latitude", "longitude", "height", "velocity_n", "attitude", "covariance", "states", "states_sd")
@@ -470,9 +468,7 @@ def _nees(error: Array, P: Array) -> Array:
 def _metres(lat: Array, lon: Array, h: Array, lat0: Any, lon0: Any, h0: Any) -> Array:
     """North, east, down [m] of points from reference points nearby."""
     mid = 0.5 * (lat + lat0)
-    s2 = np.sin(mid) ** 2
-    prime = strapdown.EARTH_RADIUS / np.sqrt(1.0 - strapdown.EARTH_E2 * s2)
-    meridian = prime * (1.0 - strapdown.EARTH_E2) / (1.0 - strapdown.EARTH_E2 * s2)
+    meridian, prime = radii(mid)
     height = 0.5 * (h + h0)
     height = np.where(np.isfinite(height), height, 0.0)
     return np.stack(

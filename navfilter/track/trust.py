@@ -5,23 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels.batch import NIS_MEMORY, NIS_MOST
 from navfilter.models.during import same_sensor
 from navfilter.models.fault_bias import has_offset
 from navfilter.models.health import LOST_HEADING, LOST_VELOCITY, MARGIN, NOISY, silent_after_s
+from navfilter.models.mission import Stream
+from navfilter.models.sensors import Sensor
+from navfilter.track.track import Track
 
-if TYPE_CHECKING:
-    from navfilter.models.mission import Stream
-    from navfilter.models.sensors import Sensor
-    from navfilter.track.track import Track
-
-Mask = NDArray[np.bool_]
 #: Spells of one reason that are no farther apart than this are one [s].
 TOGETHER_S = 2.0
 
@@ -139,7 +136,7 @@ def _reasons(run: Track) -> Iterator[tuple[str, str, Mask]]:
             yield from (("degraded", f"{name} is {what}", rows) for what, rows in conditions if what != calm)
 
 
-def _heard_s(r: Residuals) -> NDArray[np.float64]:
+def _heard_s(r: Residuals) -> Array:
     """When a sensor was heard [s]."""
     heard = ~np.isin(r.outcome, [OUTCOMES.index("ahead"), OUTCOMES.index("invalid")])
     return np.maximum.accumulate(r.time_s[heard])
@@ -157,7 +154,7 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
     times_heard = np.sort(np.concatenate([_heard_s(each) for each in (r, *others)]))
     first = r.time_s[0]
 
-    def age(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def age(times: Array) -> Array:
         last = np.searchsorted(times, now, side="right") - 1
         return np.where(last >= 0, now - times[last], np.inf) if times.size else np.full(len(now), np.inf)
 

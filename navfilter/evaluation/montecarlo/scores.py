@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, Slots, slot_figures
 from navfilter.filter.records import Residuals
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.mission import Mission
 from navfilter.timeseries.diagnostics import whiteness
 from navfilter.track.track import Track, TrackErrors
@@ -163,7 +162,7 @@ def _way(mission: Mission, begin_s: float, end_s: float) -> float:
     return float(np.sum((0.5 * (speed[1:] + speed[:-1]) * np.diff(t))[inside]))
 
 
-def _rows(track: Track, times: Array) -> NDArray[np.int64]:
+def _rows(track: Track, times: Array) -> Ints:
     """The last row of the track before each of these times (the first row for times before it)."""
     return np.maximum(np.searchsorted(track.time_s, times - 1e-6, side="right") - 1, 0)
 

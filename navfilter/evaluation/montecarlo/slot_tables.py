@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -74,9 +74,9 @@ class SlotRow:
     ----------
     model, track : str
     begin_s, end_s : float
-        The slot; the last one is all of them together.
+        The slot; the last one is all of them together. NaN: what is scored of the whole run.
     quantity : str
-        One of `navfilter.evaluation.montecarlo.slots.SLOT_SCORES`.
+        One of `navfilter.evaluation.montecarlo.slots.SLOT_SCORES`, or of the whole run of `SCORES`.
     reference : str
         Of a ratio: the model that is divided by, on the same missions; else empty.
     value, low, high : float
@@ -174,32 +174,17 @@ def slot_table(results: Results, found: Iterable[SlotRow]) -> str:
 
 
 @dataclass(frozen=True)
-class Bar:
+class Bar(SlotRow):
     """One figure and where it has to lie.
 
     Attributes
     ----------
-    track : str
-    begin_s, end_s : float
-        The slot.
-    quantity, reference : str
-        As in `navfilter.evaluation.montecarlo.slot_tables.SlotRow`.
     least, most : float
         Both count as met.
-    value, low, high : float
-        The figure with its 95 % interval over the runs; NaN where it could not be had.
     """
 
-    track: str
-    begin_s: float
-    end_s: float
-    quantity: str
-    reference: str
     least: float
     most: float
-    value: float
-    low: float
-    high: float
 
     @property
     def met(self) -> bool:
@@ -222,7 +207,7 @@ def bars(campaign: Campaign, found: Iterable[SlotRow]) -> list[Bar]:
         for quantity, reference, least, most in _limits(campaign, begin, end):
             row = by.get((track, begin, end, quantity, reference))
             if row is not None and math.isfinite(row.value):
-                result.append(Bar(track, begin, end, quantity, reference, least, most, row.value, row.low, row.high))
+                result.append(Bar(**asdict(row), least=least, most=most))
     return result
 
 

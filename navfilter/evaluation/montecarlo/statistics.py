@@ -5,27 +5,27 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Ints
 
 #: Value, lower end, upper end.
 Estimate = tuple[float, float, float]
 
 RESAMPLES = 4000
+#: All intervals hold 95 %.
+_TAILS = (0.5 - 0.5 * 0.95, 0.5 + 0.5 * 0.95)
 _NOTHING: Estimate = (math.nan, math.nan, math.nan)
 
 
-def mean_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
+def mean_interval(values: ArrayLike) -> Estimate:
     """Mean over runs with its interval by Student's t.
 
     Parameters
     ----------
     values : array_like, shape (n,)
         One per run; NaN is left out.
-    level : float
-        Coverage.
 
     Returns
     -------
@@ -43,25 +43,18 @@ def mean_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
     mean = float(x.mean())
     if x.size == 1:
         return mean, math.nan, math.nan
-    half = float(stats.t.ppf(0.5 + 0.5 * level, x.size - 1) * x.std(ddof=1) / math.sqrt(x.size))
+    half = float(stats.t.ppf(_TAILS[1], x.size - 1) * x.std(ddof=1) / math.sqrt(x.size))
     return mean, mean - half, mean + half
 
 
-def rms_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
+def rms_interval(values: ArrayLike) -> Estimate:
     """Root mean square over runs of their root mean squares, with its percentile bootstrap interval (Efron &
     Tibshirani, 1993, ch. 13).
     """
-    x = _finite(values)
-    if x.size == 0:
-        return _NOTHING
-    value = math.sqrt(float(np.mean(x**2)))
-    if x.size == 1:
-        return value, math.nan, math.nan
-    low, high = np.quantile(np.sqrt(np.mean(x[_resampled(x.size)] ** 2, axis=1)), _tails(level))
-    return value, float(low), float(high)
+    return ratio_interval(values, np.ones_like(values, dtype=np.float64))
 
 
-def ratio_interval(values: ArrayLike, others: ArrayLike, level: float = 0.95) -> Estimate:
+def ratio_interval(values: ArrayLike, others: ArrayLike) -> Estimate:
     """Ratio of the root mean squares of two models over the same missions, resampled in pairs.
 
     Parameters
@@ -69,8 +62,6 @@ def ratio_interval(values: ArrayLike, others: ArrayLike, level: float = 0.95) ->
     values, others : array_like, shape (n,)
         Of the model and of the one that it is compared with, run by run; a run that one of them lacks (NaN) is left
         out.
-    level : float
-        Coverage.
 
     Returns
     -------
@@ -94,11 +85,11 @@ def ratio_interval(values: ArrayLike, others: ArrayLike, level: float = 0.95) ->
     pick = _resampled(a.size)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.sqrt(a[pick].mean(axis=1) / b[pick].mean(axis=1))
-    low, high = np.quantile(ratios, _tails(level))
+    low, high = np.quantile(ratios, _TAILS)
     return value, float(low), float(high)
 
 
-def share_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
+def share_interval(values: ArrayLike) -> Estimate:
     """Share of the runs for which something holds (1, not 0), with Wilson's interval (1927).
 
     Examples
@@ -109,7 +100,7 @@ def share_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
     x = _finite(values)
     if x.size == 0:
         return _NOTHING
-    n, p, z = x.size, float(x.mean()), float(stats.norm.ppf(0.5 + 0.5 * level))
+    n, p, z = x.size, float(x.mean()), float(stats.norm.ppf(_TAILS[1]))
     centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     return p, max(centre - half, 0.0), min(centre + half, 1.0)
@@ -140,28 +131,11 @@ def interval_text(value: float, low: float = math.nan, high: float = math.nan, f
     return format(value, form) + (f" ({format(low, form)}..{format(high, form)})" if math.isfinite(low) else "")
 
 
-def chi_square_band(runs: int, dof: int, level: float = 0.95) -> tuple[float, float]:
-    """Band in which the mean over independent runs of an honest NEES per degree of freedom lies (Bar-Shalom et al.,
-    2001, sec. 5.4).
-
-    Examples
-    --------
-    >>> [round(v, 2) for v in chi_square_band(50, 1)]
-    [0.65, 1.43]
-    """
-    low, high = stats.chi2.ppf(_tails(level), runs * dof) / (runs * dof)
-    return float(low), float(high)
-
-
 def _finite(values: ArrayLike) -> Array:
     x = np.asarray(values, dtype=np.float64).ravel()
     return x[np.isfinite(x)]
 
 
-def _tails(level: float) -> list[float]:
-    return [0.5 - 0.5 * level, 0.5 + 0.5 * level]
-
-
-def _resampled(n: int) -> NDArray[np.int64]:
+def _resampled(n: int) -> Ints:
     """Rows of resampled runs; the same ones every time, so that a table can be made again."""
     return np.random.default_rng(20030501).integers(0, n, size=(RESAMPLES, n))

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.foundation.quoting import json_value
 from navfilter.rendering.page import table_text
 
+#: No slot.
+_WHOLE = (math.nan, math.nan)
 #: Models that the others are divided by.
 REFERENCES = ("gm1-fitted", "oracle")
 _RATIOS = ("heading_rms_deg", "position_rms_m")
@@ -48,32 +51,7 @@ _INNOVATIONS = {
 }
 
 
-@dataclass(frozen=True)
-class Row:
-    """One figure of one model with its 95 % interval over the runs.
-
-    Attributes
-    ----------
-    model, track, quantity : str
-    value, low, high : float
-        NaN where there is none.
-    runs : int
-        That it rests on.
-    reference : str
-        Of a ratio: the model that is divided by; else empty.
-    """
-
-    model: str
-    track: str
-    quantity: str
-    value: float
-    low: float
-    high: float
-    runs: int
-    reference: str = ""
-
-
-def rows(results: Results) -> list[Row]:
+def rows(results: Results) -> list[SlotRow]:
     """All figures of all models and tracks."""
     found = []
     for m, model in enumerate(results.models):
@@ -82,11 +60,11 @@ def rows(results: Results) -> list[Row]:
                 values = results.scores[m, t, :, q]
                 n = int(np.isfinite(values).sum())
                 if n:
-                    found.append(Row(model, track, quantity, *estimate(quantity, values), runs=n))
+                    found.append(SlotRow(model, track, *_WHOLE, quantity, "", *estimate(quantity, values), runs=n))
     return found
 
 
-def ratios(results: Results) -> list[Row]:
+def ratios(results: Results) -> list[SlotRow]:
     """Root mean squares of the models, divided by those of the references on the same missions."""
     found = []
     for reference in REFERENCES:
@@ -99,7 +77,7 @@ def ratios(results: Results) -> list[Row]:
                     q = SCORES.index(quantity)
                     pair = results.scores[m, t, :, q], results.scores[r, t, :, q]
                     n = int((np.isfinite(pair[0]) & np.isfinite(pair[1])).sum())
-                    found.append(Row(model, track, quantity, *ratio_interval(*pair), runs=n, reference=reference))
+                    found.append(SlotRow(model, track, *_WHOLE, quantity, reference, *ratio_interval(*pair), runs=n))
     return found
 
 
@@ -138,7 +116,7 @@ def _bar_block(results: Results, found: list[Bar]) -> str:
 
 
 def _block(
-    models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: dict[tuple[str, str, str], Row]
+    models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: dict[tuple[str, str, str], SlotRow]
 ) -> str:
     lines = [
         [model, *(_cell(found.get((model, track, key)), form) for key, (_, form) in columns.items())]
@@ -147,7 +125,7 @@ def _block(
     return table_text(["model", *(title for title, _ in columns.values())], lines)
 
 
-def _ratio_block(results: Results, compared: list[Row], reference: str) -> str:
+def _ratio_block(results: Results, compared: list[SlotRow], reference: str) -> str:
     found = {(r.model, r.track, r.quantity): r for r in compared if r.reference == reference}
     keys = [(quantity, track) for quantity in _RATIOS for track in results.tracks]
     header = ["model", *(f"{quantity.split('_')[0]} rms, {track}" for quantity, track in keys)]
@@ -157,7 +135,7 @@ def _ratio_block(results: Results, compared: list[Row], reference: str) -> str:
     return table_text(header, lines)
 
 
-def _cell(row: Row | None, form: str) -> str:
+def _cell(row: SlotRow | None, form: str) -> str:
     return "-" if row is None else interval_text(row.value, row.low, row.high, form)
 
 
@@ -166,7 +144,8 @@ def write_tables(results: Results, folder: Path) -> list[str]:
     returns the names.
     """
     names = ("model", "track", "quantity", "reference", "value", "low", "high", "runs")
-    found, apart = [_dict(row) for row in (*rows(results), *ratios(results))], slot_rows(results)
+    each, apart = map(_dict, (*rows(results), *ratios(results))), slot_rows(results)
+    found = [{name: row[name] for name in names} for row in each]
     content = {
         "campaign": results.campaign.settings,
         "models": list(results.models),
@@ -184,7 +163,7 @@ def write_tables(results: Results, folder: Path) -> list[str]:
     return [*written, *_parquet(results, folder / "runs.parquet")]
 
 
-def _dict(row: Row | SlotRow | Bar) -> dict[str, Any]:
+def _dict(row: SlotRow) -> dict[str, Any]:
     return {key: json_value(value) for key, value in asdict(row).items()}
 
 

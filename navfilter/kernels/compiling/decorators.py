@@ -1,9 +1,9 @@
 """How kernels are compiled: each once, and without what nobody uses.
 
 numba copies what a kernel calls into it, with all that this calls in turn, and optimises the copies anew: two thirds of
-what the optimiser had to do. A kernel marked `apart` is called as a function of its own instead. Its callers know it by
-a symbol, which is defined when they are compiled, and again before they are loaded from numba's cache. Small ones that
-are called in loops are better copied.
+what the optimiser had to do. A kernel that is compiled `apart` is called as a function of its own instead. Its callers
+know it by a symbol, which is defined when they are compiled, and again before they are loaded from numba's cache. Small
+ones that are called in loops are better copied.
 """
 
 import ctypes
@@ -43,6 +43,9 @@ KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < 
 #: two to four dozen numbers are no quicker, and double the code that it has to look through.
 OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 #: What defines kernels that are called by symbols, by these.
 _definitions: dict[str, Callable[[], Any]] = {}
 
@@ -55,11 +58,13 @@ _Base: Any = _Intrinsic
 _Native: Any = NativeLowering
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def njit(*, apart: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` for kernels.
 
     Parameters
     ----------
+    apart : bool
+        Other kernels call it as a function of its own, in place of copying it, see `called_apart`.
     **options
         Of numba.
 
@@ -73,7 +78,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         lean: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner, "pipeline_class": _Lean}
         kernel = numba.njit(**(lean if KNOWN else {}), **options)(function)
         _stamp(kernel, function.__module__)
-        return Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
+        kernel = Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
+        return called_apart(kernel) if apart else kernel
 
     return compiled
 
@@ -113,7 +119,7 @@ def _source(module: str) -> str:
     return path.read_text(encoding="utf-8") if module.startswith("navfilter.kernels.") and path.is_file() else ""
 
 
-def apart(kernel: Any) -> Any:
+def called_apart(kernel: Any) -> Any:
     """Mark a compiled kernel of a module of kernels, by the name under which it stands there.
 
     Parameters
@@ -130,6 +136,9 @@ def apart(kernel: Any) -> Any:
         return kernel
     # a method of Python's would take as long as half a small kernel
     return type("Apart", (Apart,), {"__call__": staticmethod(kernel)})(kernel)
+
+
+apart = called_apart  # above `njit`, as `kernels.arma_likelihood` has it
 
 
 def shaped(flat: Any, rows: int, columns: int) -> Any:

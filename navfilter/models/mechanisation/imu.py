@@ -18,7 +18,7 @@ from navfilter.models.error_models import (
     RandomWalk,
     Sum,
     White,
-    checked_number,
+    check_numbers,
     per_axis,
     sum_of,
 )
@@ -112,10 +112,8 @@ class Imu(Mechanisation):
         super().__post_init__()
         for name in self.triples:
             checked_sds(f"Imu.{name}_scale_sd", getattr(self, f"{name}_scale_sd"))
-            tau_s = getattr(self, f"{name}_scale_tau_s")
-            if tau_s is not None:
-                checked_number(f"Imu.{name}_scale_tau_s", tau_s, zero_ok=False)
-            checked_number(f"Imu.{name}_misalignment_sd_rad", getattr(self, f"{name}_misalignment_sd_rad"))
+            check_numbers(self, f"{name}_scale_tau_s", zero_ok=False)
+            check_numbers(self, f"{name}_misalignment_sd_rad")
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
-from navfilter.models.error_models import ErrorModel, checked_number
+from navfilter.models.error_models import ErrorModel, check_numbers
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
@@ -121,7 +121,7 @@ class Mechanisation(FrozenDescription):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked_number(f"{type(self).__name__}.rate_hz", self.rate_hz, zero_ok=False)
+        check_numbers(self, "rate_hz", zero_ok=False)
         for key in ("max_speed_m_s", "max_turn_rad_s"):
             if getattr(self, key) is not None and not getattr(self, key) > 0.0:
                 raise ValueError(f"{type(self).__name__}.{key} must be > 0, found {getattr(self, key)!r}.")

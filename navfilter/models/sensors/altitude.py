@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 ALTITUDE = Columns("altitude", ("altitude_m",), ("length",))
 
@@ -71,11 +68,8 @@ class Altitude(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.bottom_sd_m) and self.bottom_sd_m >= 0.0 and self.bottom_tau_s > 0.0):
-            raise ValueError(
-                f"Altitude.bottom_sd_m must be a finite number >= 0 and bottom_tau_s > 0, found {self.bottom_sd_m!r} "
-                f"and {self.bottom_tau_s!r}. Usual: 1 m, 60 s."
-            )
+        check_numbers(self, "bottom_sd_m", usual="1 m")
+        check_numbers(self, "bottom_tau_s", zero_ok=False, usual="60 s")
 
     def parameters(self) -> tuple[Parameter, ...]:
         """How much higher the bottom is, or none."""

@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
-from navfilter.models.sensors.heading import USUAL, Heading, checked_north, with_declination_sd
+from navfilter.models.sensors.heading import USUAL, Heading, with_declination_sd
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 ATTITUDE = Columns("attitude", ("roll_rad", "pitch_rad", "yaw_rad"), ("angle",) * 3, circular=("roll_rad", "yaw_rad"))
 
@@ -84,8 +82,7 @@ class Attitude(Sensor):
     def __post_init__(self) -> None:
         super().__post_init__()
         checked_vector("Attitude.mounting_rad", self.mounting_rad)
-        checked_number("Attitude.misalignment_sd_rad", self.misalignment_sd_rad)
-        checked_north("Attitude", self)
+        check_numbers(self, "misalignment_sd_rad", "declination_sd_rad")
 
     def at(self, start: Start) -> Attitude:
         """With what its declination errs by at this place."""

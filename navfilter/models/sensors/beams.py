@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, per_axis
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers, per_axis
 from navfilter.models.learned_arma import learning_part, resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
@@ -19,9 +19,7 @@ from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import DVL_ERROR, BodyVelocity
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 MOST_BEAMS = 4
 BEAMS = Columns(
@@ -98,11 +96,8 @@ class DvlBeams(BodyVelocity):
                 f"DvlBeams.beam_tilt_rad must lie between 0 and pi/2, found {self.beam_tilt_rad!r}. Usual: "
                 "beam_tilt_deg = 30, from the instrument's down axis."
             )
-        if not (math.isfinite(self.current_sd_m_s) and self.current_sd_m_s >= 0.0 and self.current_tau_s > 0.0):
-            raise ValueError(
-                f"DvlBeams.current_sd_m_s must be a finite number >= 0 and current_tau_s > 0, found "
-                f"{self.current_sd_m_s!r} and {self.current_tau_s!r}. Usual: 0.3 m/s, 3600 s."
-            )
+        check_numbers(self, "current_sd_m_s", usual="0.3 m/s")
+        check_numbers(self, "current_tau_s", zero_ok=False, usual="3600 s")
         if any(learning_part(model) is not None for model in self.models[MOST_BEAMS:]):
             raise ValueError(
                 "DvlBeams: the error of the water track cannot be learnt under way, because the current hides in it. "

@@ -5,23 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import consistency, measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
@@ -49,12 +46,6 @@ def with_declination_sd(sensor: Any, magnetic: bool, start: Start) -> Any:
 
     there = north(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
     return replace(sensor, declination_sd_rad=there.sd) if there.horizontal_nt < CAUTION_NT else sensor
-
-
-def checked_north(kind: str, sensor: Any) -> None:
-    """Refuse an uncertainty of the declination that is none."""
-    if sensor.declination_sd_rad is not None:
-        checked_number(f"{kind}.declination_sd_rad", sensor.declination_sd_rad)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,9 +114,8 @@ class Heading(Sensor):
         checked_vector("Heading.hard_iron", self.hard_iron)
         checked_vector("Heading.soft_iron", self.soft_iron, 9)
         checked_vector("Heading.deviation_sd_rad", self.deviation_sd_rad, 2)
-        checked_north("Heading", self)
+        check_numbers(self, "declination_sd_rad", "hard_iron_sd", "soft_iron_sd")
         for name in ("hard_iron_sd", "soft_iron_sd"):
-            checked_number(f"Heading.{name}", getattr(self, name))
             if getattr(self, name) and not self.magnetometer:
                 raise ValueError(
                     f"Heading.{name} is for a magnetometer: of a heading output iron is deviation (deviation_sd_deg)."
@@ -225,7 +215,7 @@ class Heading(Sensor):
         otherwise = self.magnetometer or type(self).read is not Heading.read
         return (0.0, 0) if otherwise else (LARGEST, self.reads + 1)
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """Headings at once; fields one by one."""
         otherwise = self.magnetometer or type(self).read is not Heading.read
         if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from navfilter.models.error_models import White
 from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import BodyVelocity
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 SPEED = Columns("wheel_speed", ("wheel_speed_m_s",), ("speed",))
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import measurement, open_loop_residual
 from navfilter.models.error_models import ErrorModel, GaussMarkov, White
 from navfilter.models.navigation_drift import Drift, DriftSource
@@ -19,9 +18,7 @@ from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Example, Plausible
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 DEPTH = Columns("depth", ("depth_m",), ("length",))
 PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))
@@ -100,7 +97,7 @@ class Depth(Sensor):
         """A depth."""
         return (0.0, 0) if self.pressure or type(self).read is not Depth.read else (LARGEST, 1)
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """Depths at once; pressures one by one."""
         if self.pressure or type(self).read is not Depth.read or not isinstance(values, np.ndarray):
             return super().read_all(values)
@@ -208,7 +205,7 @@ class Position(Sensor):
             return np.ascontiguousarray(value[:3])
         return np.array([value[0], value[1], self.antenna_height_m])
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """The same of many."""
         otherwise = type(self).read is not Position.read
         if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:

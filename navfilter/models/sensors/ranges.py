@@ -5,22 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement, strapdown
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 EARTH = (strapdown.EARTH_RADIUS, strapdown.EARTH_E2)
 RANGE = Columns("range", ("range_m",), ("length",))
@@ -108,8 +106,7 @@ class Range(Sensor):
         super().__post_init__()
         if min(checked_vector("Range.beacon_sd_m", self.beacon_sd_m)) < 0.0:
             raise ValueError(f"Range.beacon_sd_m must not be negative, found {self.beacon_sd_m!r}.")
-        for name in ("scale_sd", "offset_sd_m"):
-            checked_number(f"Range.{name}", getattr(self, name))
+        check_numbers(self, "scale_sd", "offset_sd_m")
         if not self.beacons:
             raise ValueError(
                 "Range.beacons must name at least one beacon, found none. Example: beacons=((26.0, -80.0, -50.0),), "

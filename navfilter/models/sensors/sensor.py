@@ -5,24 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
-from navfilter.models.error_models import ErrorModel, White, checked_number, per_axis
+from navfilter.models.error_models import ErrorModel, White, check_numbers, per_axis
 from navfilter.models.learned_arma import resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, kind_name
 from navfilter.models.start import Start
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]
@@ -166,7 +164,7 @@ class Sensor(FrozenDescription):
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
-        checked_number(f"{name}.rate_hz", self.rate_hz, zero_ok=False)
+        check_numbers(self, "rate_hz", zero_ok=False)
         if not 0.5 <= self.gate_probability < 1.0:
             raise ValueError(
                 f"{name}.gate_probability must lie in [0.5, 1), found {self.gate_probability!r}. Typical: 0.999."
@@ -181,7 +179,7 @@ class Sensor(FrozenDescription):
         """Refuse what no kind can use."""
         if not math.isfinite(self.time_offset_s):
             raise ValueError(f"{name}.time_offset_s must be a finite number, found {self.time_offset_s!r}.")
-        checked_number(f"{name}.time_offset_sd_s", self.time_offset_sd_s)
+        check_numbers(self, "time_offset_sd_s")
         if self.from_drive and (self.time_offset_s or self.time_offset_sd_s):
             raise ValueError(
                 f"{name} has no clock of its own: it is made from the drive's samples. Leave the time_offset out."
@@ -284,7 +282,7 @@ class Sensor(FrozenDescription):
         """
         return (LARGEST, self.reads) if type(self).read is Sensor.read else (0.0, 0)
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """`read` of many readings: what it makes of each, NaN beyond, and which of them are readings.
 
         Parameters

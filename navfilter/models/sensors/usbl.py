@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, checked_number
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.ranges import EARTH, SIGHT_S_PER_M, earth_fixed
@@ -19,9 +19,7 @@ from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vect
 from navfilter.models.sensors.traits import Columns, Doubt, Example, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 POLAR = Columns(
     "usbl",
@@ -126,13 +124,10 @@ class Usbl(Sensor):
         super().__post_init__()
         for name in ("transceiver_m", "transceiver_mounting_rad", "ship_sd_m"):
             checked_vector(f"Usbl.{name}", getattr(self, name))
-        for name in ("misalignment_sd_rad", "scale_sd"):
-            checked_number(f"Usbl.{name}", getattr(self, name))
-        if min(self.ship_sd_m) < 0.0 or not (math.isfinite(self.ship_tau_s) and self.ship_tau_s > 0.0):
-            raise ValueError(
-                f"Usbl.ship_sd_m must not be negative and ship_tau_s a finite number > 0, found {self.ship_sd_m!r} and "
-                f"{self.ship_tau_s!r}. Usual: (1, 1, 2) m, 60 s."
-            )
+        check_numbers(self, "misalignment_sd_rad", "scale_sd")
+        check_numbers(self, "ship_tau_s", zero_ok=False, usual="60 s")
+        if min(self.ship_sd_m) < 0.0:
+            raise ValueError(f"Usbl.ship_sd_m must not be negative, found {self.ship_sd_m!r}. Usual: (1, 1, 2) m.")
         if not 0.0 <= self.late_s <= LATEST_S:
             raise ValueError(
                 f"Usbl.late_s must lie between 0 and {LATEST_S:g}, found {self.late_s!r}: so much of the past is kept."

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter, hidden_states
@@ -21,9 +20,7 @@ from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_sds,
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
-
-if TYPE_CHECKING:
-    from navfilter.models.truth import Kinematics, SimulatedReading, Truth
+from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 VELOCITY = Columns("velocity", ("v_x_m_s", "v_y_m_s", "v_z_m_s"), ("speed",) * 3)
 #: Generous: beyond the worst and the best of instruments on the market.
@@ -149,7 +146,7 @@ class BodyVelocity(Sensor):
         """All three components."""
         return (0.0, 0) if type(self).read is not BodyVelocity.read or self.reads != 3 else (self.max_speed_m_s, 3)
 
-    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, Mask]:
         """The same of many."""
         otherwise = type(self).read is not BodyVelocity.read
         if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
@@ -262,12 +259,7 @@ class WaterVelocity(BodyVelocity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("current_sd_m_s", "current_tau_s"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(
-                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, "
-                    "3600 s."
-                )
+        check_numbers(self, "current_sd_m_s", "current_tau_s", zero_ok=False, usual="0.3 m/s, 3600 s")
         if self.current is not None:
             self._check_current()
         if any(learning_part(model) is not None for model in self.models):

@@ -14,7 +14,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.lane_selection import LaneChoice
@@ -22,6 +22,7 @@ from navfilter.faults.memory import MonitorMemory
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import samples_of
 from navfilter.foundation.arguments import needs
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.health import Health, LaneHealth, Trust
@@ -36,7 +37,6 @@ from navfilter.navigation.memory import LaneMemory, LanesMemory
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.status import NavigatorStatus, health_of
 
-Array = NDArray[np.float64]
 #: Readings come at most so long after the last sample of the drive; so much is no leap of the clock either [s].
 AHEAD_S = 1.0
 
@@ -346,24 +346,9 @@ class LaneNavigator(NavigatorStatus):
         return min((self.lanes[name].offset_s for name in self._units), key=abs)
 
     @property
-    def counts(self) -> dict[str, int]:
-        """Irregularities so far, of the lane in force."""
-        return self.believed.counts
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Estimates of all error states and parameters by name, of the lane in force."""
-        return self.believed.errors
-
-    @property
     def pose(self) -> Pose:
         """Where it is, how it moves and points, now, in plain numbers."""
         return self.believed.pose
-
-    @property
-    def covariance(self) -> Array:
-        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9)."""
-        return self.believed.covariance
 
     @property
     def state(self) -> NavState:

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults.imu.monitor import USED
 from navfilter.faults.lane_selection import HISTORY, LaneChoice
 from navfilter.filter.records import Tape
+from navfilter.foundation.arrays import Array
 from navfilter.models.health import LaneHistory
 from navfilter.models.lane_clock import edge_after
 from navfilter.models.lane_missions import lane_mission
@@ -23,8 +23,6 @@ from navfilter.navigation.lanes.navigator import begin_anew, choice_of
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.state_layout import Layout
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
 from navfilter.kernels import kalman
-
-Array = NDArray[np.float64]
 
 
 class Transplant(NamedTuple):

@@ -9,7 +9,6 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.records import Residuals, Tape
 from navfilter.models.mission import Mission
@@ -20,7 +19,6 @@ from navfilter.navigation.track_assembly import assembled, bar, gathered, smooth
 from navfilter.navigation.track_bounds import bounds_along
 from navfilter.track.track import Track
 
-Array = NDArray[np.float64]
 #: A tape, and the time [s] behind which and up to which it counts.
 Stretch = tuple[Tape, float, float]
 
