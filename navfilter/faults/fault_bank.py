@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from navfilter.kernels import fault_bank as kernel
 from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import currents, offset_states, with_offsets
+from navfilter.models.learned_arma import learning_part, unlearnt
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -156,6 +158,14 @@ def judge(filter: FilterState) -> Iterator[Action]:
     window = int(np.argmax(odds.max(axis=1)))
     likely = begins[odds[window] > odds[window].max() - kernel.BELIEVED]
     chosen = np.concatenate([np.arange(k, k + int(table[k, kernel.TOGETHER])) for k in likely])
+    other = max(_others(filter), key=lambda one: one.odds, default=None)
+    if other is not None and odds.max() < other.odds + kernel.BELIEVED:
+        # who knows only the error that there was takes another one for a fault; what it was taken for has led astray
+        by = parts(bank)[2][:, other.columns]
+        parts(bank)[5][:] -= other.odds
+        yield Correct(np.zeros(len(by)), other.variance * by @ by.T)
+        yield Adopt(Change(other.channel.name, other.models))
+        return
     grows, age_s = _grows(table[chosen]), max(memory.time_s - onsets[window], 1.0)
     now = np.where(grows, age_s, 1.0)
     at = window * len(table) + chosen
@@ -240,6 +250,35 @@ def _judged(bank: Array, window: int, signature: int, time_s: float) -> Array:
     out = np.zeros(5)
     kernel.judged(bank, window, signature, time_s, out)
     return out
+
+
+class _Other(NamedTuple):
+    """An error that has become another one than was learnt: its log odds [nat], by a constant of its described size
+    since an onset; which columns of the bank that is, the sensor, its models as described, and the described variance
+    of what is coloured.
+    """
+
+    odds: float
+    columns: list[int]
+    channel: Channel
+    models: tuple[ErrorModel, ...]
+    variance: float
+
+
+def _others(filter: FilterState) -> Iterator[_Other]:
+    """Of each sensor of which something has been learnt, and each window."""
+    onsets, table, _, s, J, more, _ = parts(filter.memory.monitor.bank)
+    for i, channel in enumerate(filter.channels.values()):
+        models = unlearnt(channel.sensor.models) or ()
+        steps = np.flatnonzero((table[:, kernel.CHANNEL] == i) & np.isin(table[:, kernel.KIND], (STEP, FLOW_STEP)))
+        for w in range(WINDOWS if models and steps.size else 0):
+            at = w * len(table) + steps
+            learning = [part for part in map(learning_part, models) if part is not None]
+            variance = max(part.block(channel.period_s).state_variance for part in learning)
+            told = np.eye(len(at)) + variance * J[np.ix_(at, at)]
+            gain = 0.5 * (variance * s[at] @ np.linalg.solve(told, s[at]) - float(np.linalg.slogdet(told)[1]))
+            rate = math.log(settings.FAULTS_PER_S * max(filter.memory.time_s - onsets[w], 1.0))
+            yield _Other(float(gain + rate + more[at[0]]), at.tolist(), channel, models, variance)
 
 
 def _opened(filter: FilterState, channel: Channel, size: float, wanders: float) -> tuple[ErrorModel, ...]:

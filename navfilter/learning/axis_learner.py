@@ -59,6 +59,9 @@ class LearnerMemory:
     lines: dict[Kind, dict[tuple[int, int], Line]]
 
 
+NOTHING_KNOWN = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
+
+
 class AxisFit(NamedTuple):
     """What a learner has found in one series with n samples: the hypothesis that there is no quick colour, before the
     likeliest other; or one of them alone.
@@ -132,7 +135,7 @@ class Learner:
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
+        self._memory = NOTHING_KNOWN
 
     @property
     def memory(self) -> LearnerMemory:

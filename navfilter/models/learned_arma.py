@@ -302,6 +302,17 @@ def as_described(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
     return tuple(described)
 
 
+def unlearnt(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...] | None:
+    """Error models with the prior in force again, and nothing learnt; None where nothing is."""
+    parts = [learning_part(model) for model in models]
+    if not any(map(is_learnt, models)):
+        return None
+    return tuple(
+        model if part is None else with_learned(model, replace(part, model=None, slow=None, spectrum=None, level=1.0))
+        for model, part in zip(models, parts, strict=True)
+    )
+
+
 def register_labels(model: ArmaModel) -> list[tuple[str, int]]:
     """What the states of a register are: values n and innovations e by their age."""
     if model.p + model.q == 0:
@@ -327,6 +338,12 @@ def learning_part(model: ErrorModel) -> LearnedArma | None:
     """The part of an error model that goes on learning: as `learned_part`, but None where it is frozen."""
     part = learned_part(model)
     return None if part is None or part.frozen else part
+
+
+def is_learnt(model: ErrorModel) -> bool:
+    """Whether something that was learnt of it is in force."""
+    part = learning_part(model)
+    return part is not None and part.model is not None
 
 
 def with_learned(model: ErrorModel, learned: LearnedArma) -> ErrorModel:
