@@ -25,7 +25,7 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.kernels import fault_bank as kernel
 from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
-from navfilter.models.error_models import ErrorModel
+from navfilter.models.error_models import ErrorModel, block_level
 from navfilter.models.fault_bias import currents, offset_states, with_offsets
 from navfilter.models.learned_arma import learning_part, unlearnt
 from navfilter.models.sensors.observable import Observable
@@ -161,9 +161,8 @@ def judge(filter: FilterState) -> Iterator[Action]:
     other = max(_others(filter), key=lambda one: one.odds, default=None)
     if other is not None and odds.max() < other.odds + kernel.BELIEVED:
         # who knows only the error that there was takes another one for a fault; what it was taken for has led astray
-        by = parts(bank)[2][:, other.columns]
         parts(bank)[5][:] -= other.odds
-        yield Correct(np.zeros(len(by)), other.variance * by @ by.T)
+        yield Correct(np.zeros(len(other.astray)), other.astray)
         yield Adopt(Change(other.channel.name, other.models))
         return
     grows, age_s = _grows(table[chosen]), max(memory.time_s - onsets[window], 1.0)
@@ -253,32 +252,45 @@ def _judged(bank: Array, window: int, signature: int, time_s: float) -> Array:
 
 
 class _Other(NamedTuple):
-    """An error that has become another one than was learnt: its log odds [nat], by a constant of its described size
-    since an onset; which columns of the bank that is, the sensor, its models as described, and the described variance
-    of what is coloured.
+    """An error that has become another one than was learnt: its log odds [nat], the sensor, its models as described,
+    and the covariance of where it has led the state to.
     """
 
     odds: float
-    columns: list[int]
     channel: Channel
     models: tuple[ErrorModel, ...]
-    variance: float
+    astray: Array
 
 
 def _others(filter: FilterState) -> Iterator[_Other]:
-    """Of each sensor of which something has been learnt, and each window."""
-    onsets, table, _, s, J, more, _ = parts(filter.memory.monitor.bank)
+    """Of each sensor of which something has been learnt, since the onset of each window: a process of the described
+    size and correlation time, straight from one onset to the next.
+    """
+    now_s = filter.memory.time_s
+    onsets, table, D, s, J, more, _ = parts(filter.memory.monitor.bank)
     for i, channel in enumerate(filter.channels.values()):
         models = unlearnt(channel.sensor.models) or ()
-        steps = np.flatnonzero((table[:, kernel.CHANNEL] == i) & np.isin(table[:, kernel.KIND], (STEP, FLOW_STEP)))
-        for w in range(WINDOWS if models and steps.size else 0):
-            at = w * len(table) + steps
-            learning = [part for part in map(learning_part, models) if part is not None]
-            variance = max(part.block(channel.period_s).state_variance for part in learning)
-            told = np.eye(len(at)) + variance * J[np.ix_(at, at)]
-            gain = 0.5 * (variance * s[at] @ np.linalg.solve(told, s[at]) - float(np.linalg.slogdet(told)[1]))
-            rate = math.log(settings.FAULTS_PER_S * max(filter.memory.time_s - onsets[w], 1.0))
-            yield _Other(float(gain + rate + more[at[0]]), at.tolist(), channel, models, variance)
+        own = [table[:, kernel.CHANNEL] == i, table[:, kernel.KIND]]
+        steps, ramps = (
+            np.flatnonzero(own[0] & np.isin(own[1], kinds)) for kinds in ((STEP, FLOW_STEP), (RAMP, FLOW_RAMP))
+        )
+        blocks = [part.block(channel.period_s) for part in map(learning_part, models) if part is not None]
+        block = max(blocks, key=lambda one: one.state_variance, default=None)
+        if block is None or not (steps.size and block.state_variance > 0.0):
+            continue
+        tau_s = 0.5 * (block_level(block) - block.r) * channel.period_s / block.state_variance
+        for begin_s in onsets:
+            windows = np.argsort(onsets, kind="stable")[np.count_nonzero(onsets < begin_s) :]
+            at = np.append(windows[0] * len(table) + steps, windows[:, None] * len(table) + ramps)
+            nodes_s = np.append(onsets[windows], now_s)
+            levels = block.state_variance * np.exp(-np.abs(nodes_s[:, None] - nodes_s) / tau_s)
+            slopes = np.diff(np.eye(len(nodes_s)), axis=0) / np.maximum(np.diff(nodes_s), 1.0)[:, None]
+            sizes = np.vstack([np.eye(len(nodes_s))[:1], np.diff(slopes, axis=0, prepend=0.0)])
+            prior = np.kron(sizes @ levels @ sizes.T, np.eye(steps.size))
+            told = np.eye(len(at)) + J[np.ix_(at, at)] @ prior
+            gain = 0.5 * (s[at] @ prior @ np.linalg.solve(told, s[at]) - np.linalg.slogdet(told)[1])
+            rate = math.log(settings.FAULTS_PER_S * max(now_s - begin_s, 1.0))
+            yield _Other(float(gain + rate + more[at[0]]), channel, models, D[:, at] @ prior @ D[:, at].T)
 
 
 def _opened(filter: FilterState, channel: Channel, size: float, wanders: float) -> tuple[ErrorModel, ...]:
