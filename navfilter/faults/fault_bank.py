@@ -62,9 +62,11 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
     return np.array(rows).reshape(-1, TABLE)
 
 
-def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
-    """Numbers that a bank remembers, and how many more it works with; none where hardly anything may go wrong."""
-    c = len(signatures(layout, list(channels.values())))
+def room(layout: Layout, channels: Mapping[str, Channel], count: int | None = None) -> tuple[int, int]:
+    """Numbers that a bank remembers, and how many more it works with, for so many signatures, or its own; none where
+    hardly anything may go wrong.
+    """
+    c = len(signatures(layout, list(channels.values()))) if count is None else count
     if c < 2:  # so many columns a wide register takes
         return 0, 0
     # of a transition as many rows as there are states at most
@@ -77,7 +79,7 @@ def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
 def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
     """A bank whose windows all begin now."""
     table = signatures(layout, list(channels.values()))
-    bank = np.zeros(room(layout, channels)[0])
+    bank = np.zeros(room(layout, channels, len(table))[0])
     if not bank.size:
         return bank
     bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s

@@ -10,6 +10,7 @@ the DVL. That is dead reckoning, by the same filter.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,6 +227,7 @@ class ImuMonitor:
         return {name: CONDITIONS[int(w[i, kernel.CODE])] for i, name in enumerate(self.axes)}
 
 
+@lru_cache(64)  # other sensors' error models change under way, those of the unit hardly ever
 def _quick(model: ErrorModel, period_s: float) -> float:
     """Variance of the second differences of the quick coloured errors among the parts of a model."""
     total = 0.0
