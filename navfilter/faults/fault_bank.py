@@ -27,7 +27,7 @@ from navfilter.kernels import fault_bank as kernel
 from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
 from navfilter.models.error_models import ErrorModel, block_level
 from navfilter.models.fault_bias import currents, offset_states, with_offsets
-from navfilter.models.learned_arma import learning_part, unlearnt
+from navfilter.models.learned_arma import UNLEARNT, changed, is_learnt, learning_part
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -271,7 +271,8 @@ def _others(filter: FilterState) -> Iterator[_Other]:
     now_s = filter.memory.time_s
     onsets, table, D, s, J, more, _ = parts(filter.memory.monitor.bank)
     for i, channel in enumerate(filter.channels.values()):
-        models = unlearnt(channel.sensor.models) or ()
+        before = channel.sensor.models
+        models = changed(before, **UNLEARNT) if any(map(is_learnt, before)) else ()
         own = [table[:, kernel.CHANNEL] == i, table[:, kernel.KIND]]
         steps, ramps = (
             np.flatnonzero(own[0] & np.isin(own[1], kinds)) for kinds in ((STEP, FLOW_STEP), (RAMP, FLOW_RAMP))

@@ -17,7 +17,7 @@ from navfilter.learning.background import Task, Worker
 from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
 from navfilter.learning.setup import learner_of, memories, recall, with_learnt
 from navfilter.models.error_models import ErrorModel
-from navfilter.models.learned_arma import known_walk, known_white, learning_part, with_learned
+from navfilter.models.learned_arma import known_walk, known_white, learning_part
 from navfilter.models.navigation_drift import FOUND_S
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
@@ -306,16 +306,6 @@ class OpenLoopSeries:
     def forget_level(self) -> None:
         """Models in force are as they were learnt."""
         self._memory.level, self._memory.odds[:] = 1.0, _as_modelled()
-
-    def at_level(self, models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
-        """Error models at the level in force; those from which nothing was learnt stay."""
-        parts, level = [learning_part(model) for model in models], self._memory.level
-        if all(part is None or part.model is None or part.level == level for part in parts):
-            return tuple(models)  # the very same: what it takes to adopt them has been worked out
-        return tuple(
-            with_learned(model, replace(part, level=level)) if part is not None and part.model is not None else model
-            for model, part in zip(models, parts, strict=True)
-        )
 
     def begin_hop(self, age_s: float = 0.0, taken: int | None = None) -> None:
         """Begin to learn from what was noted so far; the last tick was `age_s` ago. The answer is taken `TAKEN_AFTER_S`

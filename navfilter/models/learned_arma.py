@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -302,15 +302,19 @@ def as_described(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
     return tuple(described)
 
 
-def unlearnt(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...] | None:
-    """Error models with the prior in force again, and nothing learnt; None where nothing is."""
+def changed(models: Sequence[ErrorModel], **fields: Any) -> tuple[ErrorModel, ...]:
+    """Error models with other fields of what was learnt of them and goes on learning; the very same where nothing is
+    another one.
+    """
     parts = [learning_part(model) for model in models]
-    if not any(map(is_learnt, models)):
-        return None
-    return tuple(
-        model if part is None else with_learned(model, replace(part, model=None, slow=None, spectrum=None, level=1.0))
-        for model, part in zip(models, parts, strict=True)
-    )
+    now = [part if part is None or part.model is None else replace(part, **fields) for part in parts]
+    if now == parts:
+        return tuple(models)  # what it takes to adopt them has been worked out
+    return tuple(model if new is None else with_learned(model, new) for model, new in zip(models, now, strict=True))
+
+
+#: What stands in place of what was learnt where nothing is.
+UNLEARNT: dict[str, Any] = {"model": None, "slow": None, "spectrum": None, "level": 1.0}
 
 
 def register_labels(model: ArmaModel) -> list[tuple[str, int]]:
