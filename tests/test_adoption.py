@@ -160,7 +160,7 @@ def test_what_both_registers_hold_stays_and_the_rest_is_drawn_given_it(before, a
     of its joint.
     """
     rng = np.random.default_rng(10 * sum(before) + sum(after))
-    old, new = random_model(rng, *before), random_model(rng, *after, sd=1.7)
+    old, new = random_model(rng, *before), random_model(rng, *after, sd=17.0)
     M, N = transfer(learnt(old), learnt(new), PERIOD_S)
     P, shared = joint(old, new)
     have = register_labels(old)
@@ -204,7 +204,7 @@ def test_slow_parts_of_the_same_orders_keep_their_states(before, after):
     assert not M[:r, c:].any() and not M[r:, :c].any() and not N[r:].any() and not N[:, r:].any()
 
 
-@pytest.mark.parametrize(("before", "after"), [(a, b) for a in SLOWS for b in SLOWS if a is not b])
+@pytest.mark.parametrize(("before", "after"), [(a, b) for a in SLOWS for b in SLOWS if a is not b and b is not None])
 def test_slow_parts_of_other_orders_share_the_sum_of_the_old_ones(before, after):
     """Given their sum they are as their stationary distribution has it, by a dense conditioning; the fast part is left
     alone.
@@ -225,6 +225,24 @@ def test_slow_parts_of_other_orders_share_the_sum_of_the_old_ones(before, after)
     np.testing.assert_allclose(N[r:, r:], P - np.outer(G, C @ P), rtol=0, atol=1e-12)
     np.testing.assert_allclose(new.C @ M, old.C, rtol=0, atol=1e-12)
     assert abs(new.C @ N @ new.C) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ((0.01, SLOW), (5.0, nf.GaussMarkov(sd=0.01, tau_s=30.0))),  # what was slow is in the register now
+        ((5.0, SLOW), (0.01, SLOW + SMOOTH)),  # what was in the register is slow
+        ((1.0, SLOW + SMOOTH), (1.0, None)),
+    ],
+)
+def test_where_parts_cannot_hold_what_they_did_the_present_error_alone_stays(before, after):
+    """A register of what is a hundredth of the error says nothing of the past of all of it: by a dense conditioning."""
+    rng = np.random.default_rng(19)
+    old, new = (learnt(random_model(rng, 2, 1, sd=sd), slow) for sd, slow in (before, after))
+    (M, N), one, two = transfer(old, new, PERIOD_S), old.block(PERIOD_S), new.block(PERIOD_S)
+    G = two.P0 @ two.C / (two.C @ two.P0 @ two.C)
+    np.testing.assert_allclose(M, np.outer(G, one.C), rtol=1e-12)
+    np.testing.assert_allclose(N, two.P0 - np.outer(G, two.C @ two.P0), rtol=0, atol=1e-9 * two.P0.max())
 
 
 @pytest.mark.parametrize("white", [0.0, 0.3])

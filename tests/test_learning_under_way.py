@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 import pytest
 import same_runs
-from feeding import events_of, in_blocks, one_by_one
+from feeding import delayed, events_of, in_blocks, one_by_one
 from scipy.stats import chi2
 
 import navfilter as nf
@@ -28,7 +28,7 @@ from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
 from navfilter.models.spectrum import Spectrum
 from navfilter.playback.replay import residual_series
 from navfilter.simulation.campaigns import stage
-from navfilter.simulation.faults import Faults
+from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.manoeuvres import Lawnmower
 from navfilter.simulation.scenarios import SCENARIOS, dive, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -485,3 +485,48 @@ def test_fifty_missions_are_honest(scenario):
         ratio = mean["arma"][key] / mean["oracle"][key]
         assert np.all((ratio > 0.5) & (ratio < 1.6)), (key, ratio)
     assert 0.8 < mean["arma"]["nis_all"][0] < 1.25 and 0.8 < mean["arma"]["nis_sensor"][0] < 1.25
+
+
+# ---------------------------------------------------------------- another error, and no fault
+
+
+def turned_slow(seed, ends_s):
+    """A vehicle whose compass has been learnt as white when its error turns slow, and a mission of it."""
+    slow = nf.GaussMarkov(sd=0.4 * DEG, tau_s=40.0) + nf.White(sd=0.1 * DEG)
+    error = Changing(((0.0, nf.White(sd=0.4 * DEG)), (TURNS_S, slow)))
+    staged = stage("compass-gm1", gyro="tactical", duration_s=ends_s, imu_rate_hz=50.0)
+    staged = replace(staged, faults=staged.faults | {"compass": replace(staged.faults["compass"], true_error=error)})
+    return staged.vehicle.with_error(compass=nf.LearnedArma(prior=BELIEF["compass"])), staged.mission(seed)
+
+
+TURNS_S = 560.0
+
+
+@pytest.mark.parametrize("seed", [912, 916, 920])
+def test_an_error_that_becomes_another_one_is_no_fault(seed):
+    """White noise that turns into a slow error of the described size is no compass that has jumped, nor a gyro that has
+    shifted: constants and biases that were opened for it would leave the heading to themselves for good.
+    """
+    vehicle, mission = turned_slow(seed, 900.0)
+    track = nf.replay(vehicle, mission, output_rate_hz=1.0)
+    assert not track.counts["jumped"]
+    assert not track.counts["shifted"]
+    after = track.time_s > TURNS_S
+    errors = track.errors(mission.truth)
+    assert np.mean(track.nees(errors)["heading"][after]) < 1.5  # 0.3 to 0.6; 1 to 23 where it is taken for a fault
+    models = [learned_part(models[0]) for _, models in track.error_models["compass"][1:]]
+    assert [part.model is None for part in models] == [False, False, False, True, False]
+
+
+def test_another_error_is_the_same_bits_with_late_readings_and_from_a_snapshot():
+    vehicle, mission = turned_slow(916, 640.0)
+    events = events_of(vehicle, mission)
+    straight, late = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start, history_s=2.0)
+    one_by_one(straight, events)
+    arrived = delayed(events, ("compass",), 1.9, seed=1, share=0.1)
+    half = len(arrived) * 95 // 100
+    one_by_one(late, arrived[:half])
+    again = nf.Navigator.restore(vehicle, late.snapshot())
+    one_by_one(again, arrived[half:])
+    assert learned_part(straight.filter.channels["compass"].sensor.models[0]).model is None
+    same_runs.assert_same_bits(straight, again)

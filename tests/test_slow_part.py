@@ -195,7 +195,7 @@ def test_others_beside_a_point_change_nothing(count):
 def test_parts_of_a_likelihood_add_up():
     likelihood = Likelihood(noisy(500, 4), DRIFT, 0.0, PRIOR)
     theta = np.r_[-0.5, 0.0, -0.7, math.log(50.0)]
-    whole, z = likelihood.value(theta, 1, 1), likelihood.innovations
+    (whole,), z = likelihood.standardised([theta], 1, 1)
     assert np.isfinite(z).sum() == likelihood.n
 
     def since(first):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,9 @@ from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.kernels import fault_bank as kernel
 from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
-from navfilter.models.error_models import ErrorModel
+from navfilter.models.error_models import ErrorModel, block_level
 from navfilter.models.fault_bias import currents, offset_states, with_offsets
+from navfilter.models.learned_arma import UNLEARNT, changed, is_learnt, learning_part
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -60,9 +62,11 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
     return np.array(rows).reshape(-1, TABLE)
 
 
-def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
-    """Numbers that a bank remembers, and how many more it works with; none where hardly anything may go wrong."""
-    c = len(signatures(layout, list(channels.values())))
+def room(layout: Layout, channels: Mapping[str, Channel], count: int | None = None) -> tuple[int, int]:
+    """Numbers that a bank remembers, and how many more it works with, for so many signatures, or its own; none where
+    hardly anything may go wrong.
+    """
+    c = len(signatures(layout, list(channels.values()))) if count is None else count
     if c < 2:  # so many columns a wide register takes
         return 0, 0
     # of a transition as many rows as there are states at most
@@ -75,7 +79,7 @@ def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
 def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
     """A bank whose windows all begin now."""
     table = signatures(layout, list(channels.values()))
-    bank = np.zeros(room(layout, channels)[0])
+    bank = np.zeros(room(layout, channels, len(table))[0])
     if not bank.size:
         return bank
     bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s
@@ -156,6 +160,13 @@ def judge(filter: FilterState) -> Iterator[Action]:
     window = int(np.argmax(odds.max(axis=1)))
     likely = begins[odds[window] > odds[window].max() - kernel.BELIEVED]
     chosen = np.concatenate([np.arange(k, k + int(table[k, kernel.TOGETHER])) for k in likely])
+    other = max(_others(filter), key=lambda one: one.odds, default=None)
+    if other is not None and odds.max() < other.odds + kernel.BELIEVED:
+        # who knows only the error that there was takes another one for a fault; what it was taken for has led astray
+        parts(bank)[5][:] -= other.odds
+        yield Correct(np.zeros(len(other.astray)), other.astray)
+        yield Adopt(Change(other.channel.name, other.models))
+        return
     grows, age_s = _grows(table[chosen]), max(memory.time_s - onsets[window], 1.0)
     now = np.where(grows, age_s, 1.0)
     at = window * len(table) + chosen
@@ -240,6 +251,49 @@ def _judged(bank: Array, window: int, signature: int, time_s: float) -> Array:
     out = np.zeros(5)
     kernel.judged(bank, window, signature, time_s, out)
     return out
+
+
+class _Other(NamedTuple):
+    """An error that has become another one than was learnt: its log odds [nat], the sensor, its models as described,
+    and the covariance of where it has led the state to.
+    """
+
+    odds: float
+    channel: Channel
+    models: tuple[ErrorModel, ...]
+    astray: Array
+
+
+def _others(filter: FilterState) -> Iterator[_Other]:
+    """Of each sensor of which something has been learnt, since the onset of each window: a process of the described
+    size and correlation time, straight from one onset to the next.
+    """
+    now_s = filter.memory.time_s
+    onsets, table, D, s, J, more, _ = parts(filter.memory.monitor.bank)
+    for i, channel in enumerate(filter.channels.values()):
+        before = channel.sensor.models
+        models = changed(before, **UNLEARNT) if any(map(is_learnt, before)) else ()
+        own = [table[:, kernel.CHANNEL] == i, table[:, kernel.KIND]]
+        steps, ramps = (
+            np.flatnonzero(own[0] & np.isin(own[1], kinds)) for kinds in ((STEP, FLOW_STEP), (RAMP, FLOW_RAMP))
+        )
+        blocks = [part.block(channel.period_s) for part in map(learning_part, models) if part is not None]
+        block = max(blocks, key=lambda one: one.state_variance, default=None)
+        if block is None or not (steps.size and block.state_variance > 0.0):
+            continue
+        tau_s = 0.5 * (block_level(block) - block.r) * channel.period_s / block.state_variance
+        for begin_s in onsets:
+            windows = np.argsort(onsets, kind="stable")[np.count_nonzero(onsets < begin_s) :]
+            at = np.append(windows[0] * len(table) + steps, windows[:, None] * len(table) + ramps)
+            nodes_s = np.append(onsets[windows], now_s)
+            levels = block.state_variance * np.exp(-np.abs(nodes_s[:, None] - nodes_s) / tau_s)
+            slopes = np.diff(np.eye(len(nodes_s)), axis=0) / np.maximum(np.diff(nodes_s), 1.0)[:, None]
+            sizes = np.vstack([np.eye(len(nodes_s))[:1], np.diff(slopes, axis=0, prepend=0.0)])
+            prior = np.kron(sizes @ levels @ sizes.T, np.eye(steps.size))
+            told = np.eye(len(at)) + J[np.ix_(at, at)] @ prior
+            gain = 0.5 * (s[at] @ prior @ np.linalg.solve(told, s[at]) - np.linalg.slogdet(told)[1])
+            rate = math.log(settings.FAULTS_PER_S * max(now_s - begin_s, 1.0))
+            yield _Other(float(gain + rate + more[at[0]]), channel, models, D[:, at] @ prior @ D[:, at].T)
 
 
 def _opened(filter: FilterState, channel: Channel, size: float, wanders: float) -> tuple[ErrorModel, ...]:

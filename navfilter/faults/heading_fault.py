@@ -341,8 +341,9 @@ def drop_contradicted_offset(filter: FilterState, channel: Channel, time_s: floa
     slope, sd = _slope(filter, channel)
     if abs(slope) - settings.IRON_SURE * sd > settings.IRON_SLOPE:
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
-        # what it has read since it jumped was no heading
-        kept.refused, kept.rejected_since_s, kept.disputed_s = None, kept.jumped_s, time_s
+        # what it has read since it jumped was no heading; of one that went off slowly nobody knows when that was
+        kept.rejected_since_s = kept.jumped_s if math.isfinite(kept.jumped_s) else time_s
+        kept.refused, kept.disputed_s = None, time_s
 
 
 def _slope(filter: FilterState, compass: Channel) -> tuple[float, float]:

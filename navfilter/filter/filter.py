@@ -454,7 +454,7 @@ class Filter:
                 memory.P += covariance
                 memory.P[:] = 0.5 * (memory.P + memory.P.T)
                 self._row()
-                tell(StateTransformed(np.eye(len(memory.P)), anew=True))
+                tell(StateTransformed(np.eye(len(memory.P)), anew=bool(error.any())))
             case actions.MoveError(place, by):
                 memory.x[place] += by
             case actions.Readmit(channel, residual):

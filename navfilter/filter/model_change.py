@@ -18,6 +18,10 @@ from navfilter.timeseries.model import ArmaModel
 Errors = ErrorModel | tuple[ErrorModel, ...]
 
 
+#: A variance that many times as large is beyond three standard deviations [1] (derived).
+BEYOND = 9.0
+
+
 class Change(NamedTuple):
     """Another error model of one sensor, to be put in force.
 
@@ -196,22 +200,37 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
     before, after = old.block(period_s), new.block(period_s)
     if old == new:
         return np.eye(after.size), np.zeros((after.size, after.size))
+    white = before.r  # what of the old one was white is not in its states
     if (
         isinstance(old, LearnedArma)
         and isinstance(new, LearnedArma)
         and old.model is not None
         and new.model is not None
     ):
-        fast = _registers(old.model, new.model)
-        slow = _slow_parts(old.slow_parts, new.slow_parts, period_s)
-        return _beside(fast[0], slow[0]), new.level * _beside(fast[1], slow[1])
+        if _holds(old, new, period_s):
+            fast = _registers(old.model, new.model)
+            slow = _slow_parts(old.slow_parts, new.slow_parts, period_s)
+            return _beside(fast[0], slow[0]), new.level * _beside(fast[1], slow[1])
+        white = 0.0
     if not (before.size and after.size):
         return np.zeros((after.size, before.size)), after.P0
-    # both have a present error; what of the old one was white is not in its states
+    # both have a present error
     seen = after.P0 @ after.C
     G = seen / float(after.C @ seen)
-    N = after.P0 - np.outer(G, seen) + before.r * np.outer(G, G)
+    N = after.P0 - np.outer(G, seen) + white * np.outer(G, G)
     return np.outer(G, before.C), _positive(N)
+
+
+def _holds(old: LearnedArma, new: LearnedArma, period_s: float) -> bool:
+    """Whether the fast and the slow part of a learnt model can be what those of the old one were: else what was slow
+    may stand in the register now, or the other way round, and the present error is all that both have in common.
+    """
+    fast, slow = np.zeros(2), np.zeros(2)
+    for i, part in enumerate((old, new)):
+        assert part.model is not None
+        fast[i] = part.level * register_block(part.model).state_variance
+        slow[i] = part.level * sum(one.block(period_s).state_variance for one in part.slow_parts)
+    return bool(fast[0] <= BEYOND * (fast[1] + new.block(period_s).r) and slow[0] <= BEYOND * slow[1])
 
 
 def _registers(old: ArmaModel, new: ArmaModel) -> tuple[Array, Array]:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.learning.initial_values import grown_point, padded_start
-from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.models.navigation_drift import Drift
+from navfilter.models.spectrum import log_spread
 from navfilter.timeseries.initial_values import tidy_series
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.order_criterion import criterion
@@ -27,13 +28,6 @@ Array = NDArray[np.float64]
 def zero_frequency(model: ArmaModel) -> float:
     """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
     return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
-
-
-def _log_s0_spread(theta: Array, p: int, covariance: Array) -> float:
-    """Standard deviation of ``ln S(0) = 2 (ln sd + ln C(1) - ln A(1))`` from the covariance of ``[ar, ma, ln sd]``."""
-    a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
-    g = 2.0 * np.r_[np.full(p, -1.0 / a1), np.full(theta.size - 1 - p, 1.0 / c1), 1.0]
-    return float(math.sqrt(max(float(g @ covariance @ g), 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,27 +107,12 @@ def fit_channel(
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:
-        point = maximise(likelihood, [padded_start(theta_of(start, likelihood), start.p, p, q)], p, passes)
-    return channel_fit(likelihood, point)
-
-
-def theta_of(model: ArmaModel, likelihood: Likelihood) -> Array:
-    """``[ar, ma, ln sd]`` of a model in the units of a likelihood."""
-    return np.r_[model.ar, model.ma, math.log(max(model.sd * likelihood.unit, 1e-300))]
-
-
-def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
-    """What a maximum says, in the units of the series."""
-    p, theta, covariance = point.p, point.theta, point.covariance
-    value = likelihood.value(theta, p)
-    n = int(np.isfinite(likelihood.innovations).sum())
-    model = ArmaModel(
-        theta[:p],
-        theta[p:-1],
-        math.exp(theta[-1]) / likelihood.unit,
-        covariance[:-1, :-1],
-        _log_s0_spread(theta, p, covariance),
-        float(n),
-    )
-    loglik = n * math.log(likelihood.unit) - value
+        theta = np.r_[start.ar, start.ma, math.log(max(start.sd * likelihood.unit, 1e-300))]
+        point = maximise(likelihood, [padded_start(theta, start.p, p, q)], p, passes)
+    theta, covariance = point.theta, point.covariance
+    (value,), innovations = likelihood.standardised([theta], p)
+    n, ar, ma = int(np.isfinite(innovations).sum()), theta[:p], theta[p:-1]
+    of_s0 = float(log_spread(ar, ma, covariance, np.zeros(1))[0])
+    model = ArmaModel(ar, ma, math.exp(theta[-1]) / likelihood.unit, covariance[:-1, :-1], of_s0, float(n))
+    loglik = n * math.log(likelihood.unit) - float(value)
     return ChannelFit(model, loglik, criterion("bic", -2.0 * loglik, theta.size, n), n)

@@ -18,7 +18,7 @@ from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_posterior import Line, SlowPosterior, log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior
-from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.models.error_models import ErrorModel, RandomWalk
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 
@@ -57,6 +57,9 @@ class LearnerMemory:
     followed: dict[Kind, Followed]
     scale: tuple[float, float, int]
     lines: dict[Kind, dict[tuple[int, int], Line]]
+
+
+NOTHING_KNOWN = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
 
 
 class AxisFit(NamedTuple):
@@ -130,9 +133,9 @@ class Learner:
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
-        parts = described.parts if isinstance(described, Sum) else () if described is None else (described,)
+        parts = () if described is None else described.terms
         self.described = tuple(part for part in parts if not isinstance(part, RandomWalk))  # those are the drift's
-        self._memory = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
+        self._memory = NOTHING_KNOWN
 
     @property
     def memory(self) -> LearnerMemory:

@@ -158,8 +158,8 @@ class Likelihood:
         return theta[..., :-2] if slow else theta
 
     def standardised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> tuple[Array, Array]:
-        """Minus the log-likelihood of some models, shape (K,), and their innovations in standard deviations (N, K),
-        which hold until the next call.
+        """Minus the log-likelihood of some models, shape (K,), and their innovations in standard deviations (N, K), NaN
+        where nothing counts, which hold until the next call.
         """
         rows = np.array(thetas)
         E, V = self._noted(len(rows))
@@ -173,18 +173,12 @@ class Likelihood:
         return self._space[: 2 * n * wide].reshape(2, n, wide)
 
     def value(self, theta: Array, p: int, slow: int = 0) -> float:
-        """Minus the log-likelihood; the innovations stay in `innovations`."""
+        """Minus the log-likelihood."""
         return float(self.standardised([theta], p, slow)[0][0])
-
-    @property
-    def innovations(self) -> Array:
-        """Standardised innovations of the last `value`, NaN where nothing counts."""
-        return self._noted(1)[0, :, 0].copy()
 
     def correlations(self, point: Point) -> Array:
         """Autocorrelations of the innovations at a point, shape (LAGS,)."""
-        self.value(point.theta, point.p, point.slow)
-        z, size = self.innovations, (self.y.size // LAGS + 2) * LAGS
+        z, size = self.standardised([point.theta], point.p, point.slow)[1][:, 0], (self.y.size // LAGS + 2) * LAGS
         known = np.isfinite(z)
         both = np.array([np.where(known, z, 0.0).clip(-CLIP, CLIP), known])
         products, pairs = np.fft.irfft(np.abs(np.fft.rfft(both, size)) ** 2)[:, :LAGS]

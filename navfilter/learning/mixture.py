@@ -104,7 +104,7 @@ def mixed(
 
 def _moment(part: ErrorModel, block: Block, pi: float, period_s: float) -> list[float]:
     """A described part as one of the moments: order, correlation time [s], weight, variance."""
-    variance = float(block.C @ block.P0 @ block.C)
+    variance = block.state_variance
     if isinstance(part, GaussMarkov):
         return [min(part.order, 2), part.tau_s, pi, variance]
     # of a Gauss-Markov process S(0) is twice variance times correlation time

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.learning.arma_fit import Drift, fit_channel
-from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.models.error_models import ErrorModel, RandomWalk, sum_of
 from navfilter.models.learned_arma import known_walk
 from navfilter.timeseries.model import ArmaModel
 
@@ -88,12 +88,11 @@ def hand_over(
         known, found = wider, less.model
     if known == drift.density[0]:
         return found, model
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    first = next(part for part in parts if isinstance(part, RandomWalk))
+    first = next(part for part in model.terms if isinstance(part, RandomWalk))
     start = float(np.sqrt(first.block(period_s).P0[0, 0]))
     others = known_walk(model) ** 2 - first.density**2
     walk = RandomWalk(density=float(np.sqrt(max(known**2 - others, first.density**2))), start_sd=start)
-    return found, Sum(tuple(walk if part is first else part for part in parts))
+    return found, sum_of([walk if part is first else part for part in model.terms])
 
 
 def _slow_pole(model: ArmaModel, n: int) -> float | None:

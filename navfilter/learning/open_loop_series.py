@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import open_loop_residual
-from navfilter.learning.axis_learner import LearnerMemory
+from navfilter.learning.axis_learner import NOTHING_KNOWN, LearnerMemory
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
 from navfilter.learning.setup import learner_of, memories, recall, with_learnt
 from navfilter.models.error_models import ErrorModel
-from navfilter.models.learned_arma import known_walk, known_white, learning_part, with_learned
+from navfilter.models.learned_arma import known_walk, known_white, learning_part
 from navfilter.models.navigation_drift import FOUND_S
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
@@ -262,6 +262,14 @@ class OpenLoopSeries:
         self._memory.models = self.described
         self.leave()
 
+    def doubt(self) -> None:
+        """Back to the error models as described: the error has become another one, and is learnt anew from now on."""
+        memory, end = self._memory, int(self._memory.cursor[0])
+        self.leave_out(end)
+        memory.models, memory.hop, memory.due = self.described, None, end + self.hop
+        memory.learners = tuple(None if learner is None else NOTHING_KNOWN for learner in self.learners)
+        self.forget_level()
+
     def begin_again(self) -> None:
         """Listen from the start again."""
         self._memory.cursor[0] = 0
@@ -275,7 +283,9 @@ class OpenLoopSeries:
 
     def _next(self, ticks: int) -> int:
         """Ticks that make the next hop due: twice as many at first, a hop more then."""
-        return ticks + min(self.hop, ticks) if ticks >= LEAST else LEAST
+        rows = self._memory.left_out
+        begin = int(rows[rows[:, 0] == 0, 1].max(initial=0))  # what was heard before does not count
+        return ticks + min(self.hop, ticks - begin) if ticks - begin >= LEAST else begin + LEAST
 
     def notice(self, nis: float, dof: int) -> None:
         """Take note of how a reading fared in the filter."""
@@ -296,16 +306,6 @@ class OpenLoopSeries:
     def forget_level(self) -> None:
         """Models in force are as they were learnt."""
         self._memory.level, self._memory.odds[:] = 1.0, _as_modelled()
-
-    def at_level(self, models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
-        """Error models at the level in force; those from which nothing was learnt stay."""
-        parts, level = [learning_part(model) for model in models], self._memory.level
-        if all(part is None or part.model is None or part.level == level for part in parts):
-            return tuple(models)  # the very same: what it takes to adopt them has been worked out
-        return tuple(
-            with_learned(model, replace(part, level=level)) if part is not None and part.model is not None else model
-            for model, part in zip(models, parts, strict=True)
-        )
 
     def begin_hop(self, age_s: float = 0.0, taken: int | None = None) -> None:
         """Begin to learn from what was noted so far; the last tick was `age_s` ago. The answer is taken `TAKEN_AFTER_S`

@@ -32,7 +32,7 @@ from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSer
 from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
-from navfilter.models.learned_arma import as_described, learning_part
+from navfilter.models.learned_arma import as_described, changed, is_learnt, learning_part
 
 Array = NDArray[np.float64]
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
@@ -203,6 +203,9 @@ class LearningSchedule:
                 listener.begin_anew(event.seconds)
         elif isinstance(event, StateTransformed):
             self._relaid(event.M)
+            for name, listener in self.listeners.items():
+                if listener.is_watched and not any(map(is_learnt, self.filter.channels[name].sensor.models)):
+                    listener.doubt()
             if event.anew:
                 self._state_reset(open_loop_residual.HEADING)
         return ()
@@ -261,7 +264,9 @@ class LearningSchedule:
             listener.begin_hop()
         if models is None and not self._refused and listener.is_another_level():
             models = self.filter.channels[listener.name].sensor.models
-        return () if models is None or self._refused else (Change(listener.name, listener.at_level(models)),)
+        if models is None or self._refused:
+            return ()
+        return (Change(listener.name, changed(models, level=listener.memory.level)),)
 
     @property
     def learning_s(self) -> float:

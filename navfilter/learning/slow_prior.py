@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.models.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, Sum, block_level
+from navfilter.models.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, block_level
 from navfilter.models.navigation_drift import Drift
 
 Array = NDArray[np.float64]
@@ -103,8 +103,7 @@ class SlowPrior:
 
 def described_blocks(model: ErrorModel, period_s: float) -> tuple[Block, ...]:
     """The parts of an error model of the vehicle file, per sample; random walks in it are the drift's."""
-    parts = model.parts if isinstance(model, Sum) else (model,)
-    return tuple(part.block(period_s) for part in parts if not isinstance(part, RandomWalk))
+    return tuple(part.block(period_s) for part in model.terms if not isinstance(part, RandomWalk))
 
 
 def slow_prior(
@@ -132,7 +131,7 @@ def slow_prior(
         error is as slow as that one's and as large as described, and unlikely; without a kind there is none.
     """
     blocks = described_blocks(model, period_s)
-    variance, white = sum(float(block.C @ block.P0 @ block.C) for block in blocks), sum(block.r for block in blocks)
+    variance, white = sum(block.state_variance for block in blocks), sum(block.r for block in blocks)
     if not variance > 0.0:
         usual = None if kind is None else slow_prior(kind, period_s, span_s)
         if usual is None or not white > 0.0:

@@ -14,7 +14,8 @@ from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.learned_model import learnt_from
 from navfilter.learning.model_reduction import hand_over, plainer
 from navfilter.learning.setup import believed, memories, recall
-from navfilter.models.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.learning.slow_prior import described_blocks
+from navfilter.models.error_models import ErrorModel, per_axis
 from navfilter.models.learned_arma import known_walk, known_white, learned_part, learning_part, with_learned
 from navfilter.models.mechanisation import Imu, Mechanisation
 from navfilter.models.navigation_drift import Drift
@@ -289,16 +290,10 @@ def _limits(drive: Imu) -> Array:
     `ZeroVelocity`.
     """
     rest, limits = ZeroVelocity(), np.empty(6)
-    given = [*_each(drive.gyro), *_each(drive.accel)]
+    given = *per_axis(drive.gyro, 3, "gyro"), *per_axis(drive.accel, 3, "accel")
     for axis, (model, said) in enumerate(zip(drive.models, given, strict=True)):
-        parts = model.parts if isinstance(model, Sum) else (model,)
-        blocks = [part.block(drive.period_s) for part in parts if not isinstance(part, RandomWalk)]
-        limits[axis] = QUIET * np.sqrt(sum(float(b.r + b.C @ b.P0 @ b.C) for b in blocks))
+        limits[axis] = QUIET * np.sqrt(sum(block.variance for block in described_blocks(model, drive.period_s)))
         learned = learned_part(said)
         if learned is not None and said == learned and learned.prior is None and learned.model is None:
             limits[axis] = max(limits[axis], rest.gyro_sd_max if axis < 3 else rest.force_sd_max)
     return limits
-
-
-def _each(errors: ErrorModel | tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
-    return (errors,) * 3 if isinstance(errors, ErrorModel) else tuple(errors)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -302,6 +302,21 @@ def as_described(models: Sequence[ErrorModel]) -> tuple[ErrorModel, ...]:
     return tuple(described)
 
 
+def changed(models: Sequence[ErrorModel], **fields: Any) -> tuple[ErrorModel, ...]:
+    """Error models with other fields of what was learnt of them and goes on learning; the very same where nothing is
+    another one.
+    """
+    parts = [learning_part(model) for model in models]
+    now = [part if part is None or part.model is None else replace(part, **fields) for part in parts]
+    if now == parts:
+        return tuple(models)  # what it takes to adopt them has been worked out
+    return tuple(model if new is None else with_learned(model, new) for model, new in zip(models, now, strict=True))
+
+
+#: What stands in place of what was learnt where nothing is.
+UNLEARNT: dict[str, Any] = {"model": None, "slow": None, "spectrum": None, "level": 1.0}
+
+
 def register_labels(model: ArmaModel) -> list[tuple[str, int]]:
     """What the states of a register are: values n and innovations e by their age."""
     if model.p + model.q == 0:
@@ -327,6 +342,12 @@ def learning_part(model: ErrorModel) -> LearnedArma | None:
     """The part of an error model that goes on learning: as `learned_part`, but None where it is frozen."""
     part = learned_part(model)
     return None if part is None or part.frozen else part
+
+
+def is_learnt(model: ErrorModel) -> bool:
+    """Whether something that was learnt of it is in force."""
+    part = learning_part(model)
+    return part is not None and part.model is not None
 
 
 def with_learned(model: ErrorModel, learned: LearnedArma) -> ErrorModel:

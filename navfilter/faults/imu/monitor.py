@@ -10,6 +10,7 @@ the DVL. That is dead reckoning, by the same filter.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,6 +256,7 @@ def _come_back_to_level(memory: FilterMemory) -> Iterator[Action]:
     yield Correct(np.asarray(K @ (C.T[:2] @ turn), dtype=np.float64), -K @ S @ K.T)
 
 
+@lru_cache(64)  # other sensors' error models change under way, those of the unit hardly ever
 def _quick(model: ErrorModel, period_s: float) -> float:
     """Variance of the second differences of the quick coloured errors among the parts of a model."""
     total = 0.0
