@@ -184,6 +184,11 @@ SENSOR_DISPUTED_S = 3.0
 #: A vehicle that has moved by more than so many standard deviations has moved [1]. (chosen)
 STILL_SDS = 3.0
 
+# -------------------- policy
+#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
+#: (chosen)
+AGAIN_S = 120.0
+
 # -------------------- protection level
 #: Share of the time that the truth may lie beyond a bound without any fault [1]. (chosen)
 RISK = fault_bank.RISK
