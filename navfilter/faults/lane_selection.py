@@ -330,6 +330,12 @@ class LaneChoice:
         memory.begun[lane], memory.doubted[lane] = memory.step, 0.0
         memory.away[lane], memory.ahead[lane] = math.nan, math.inf
 
+    def leave(self, lane: int) -> None:
+        """A lane is not there any more: nothing that it has foretold counts, and it is not taken."""
+        memory = self.memory
+        memory.ring[:, lane] = memory.gathered[lane] = memory.ahead[lane] = 0.0
+        memory.begun[lane], memory.away[lane] = math.inf, math.nan
+
 
 def _sds(sensor: Sensor) -> list[float]:
     """Standard deviation of each component by the sensor's description."""

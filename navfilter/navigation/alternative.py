@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 #: The filter that uses the unit, the one without its accelerometers, and the one without any of it, as `LaneChoice`
 #: numbers them.
 WITH_UNIT, NO_FORCES, NO_UNIT = range(3)
+#: Less the run and the one beside it this is the one that is not there.
+ALL = WITH_UNIT + NO_FORCES + NO_UNIT
 #: What sensors of attitude and of angular rates correct: it is the gyros that they contradict.
 TURNS = ("heading", "")
 
@@ -132,9 +134,8 @@ class Alternative:
         """Nothing is left of an earlier life."""
         if not self._made:
             self._made, self._filter = True, Filter(self._vehicle, self._main.start, FaultMonitor(self._vehicle))
-        sensors = {name: sensor for name, sensor in self._vehicle.sensors.items() if not sensor.lead_s}
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
-        self._choice = LaneChoice([True, False, False], sensors, self._main.time_s, force_sd)
+        self._choice = LaneChoice([True, False, False], self._vehicle.sensors, self._main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
         self._lane, self._refused_s, self._settles = WITH_UNIT, self._main.time_s, False
         self._beside, self._patience_s = NO_UNIT, ANEW_S
@@ -152,25 +153,22 @@ class Alternative:
             found = "memory.alternative has a time that is none"
         return found
 
-    def begin(self, doubt: UnitDoubted, tell: Listening) -> None:
+    def begin(self, doubt: UnitDoubted) -> None:
         """A sensor has contradicted the run: go on without what it doubts of the unit beside it, if anything could.
 
         Parameters
         ----------
         doubt : UnitDoubted
             If that is `told`, the run does without the unit by the next reading.
-        tell : callable
-            Is told what happens to the run's state.
         """
         if not self._carries:
             return
         lane = self._lane if self.is_alive else WITH_UNIT
         if lane == NO_FORCES:
-            if self._beside == NO_UNIT or self._doubts_gyros(doubt, "depth"):
-                self._refused_s = self._main.time_s
-            if self._refused_s == self._main.time_s and self._beside != NO_UNIT:
-                self._choice.memory.begun[WITH_UNIT] = math.inf
+            if self._beside != NO_UNIT and self._doubts_gyros(doubt, "depth"):
                 self._leave_out(NO_UNIT, doubt.since_s)
+            if self._beside == NO_UNIT:
+                self._refused_s = self._main.time_s
             return
         if lane == NO_UNIT or self._main.memory.monitor.has_excluded:
             return
@@ -206,6 +204,7 @@ class Alternative:
         if lane == NO_UNIT:
             self._exclude(slice(3), since_s)
         self._choice.on_restart(lane)
+        self._choice.leave(ALL - lane - self._lane)
 
     def _exclude(self, axes: slice, since_s: float) -> None:
         """Let the second filter use axes of the unit no more, which may have been wrong since a time [s]."""
@@ -291,6 +290,7 @@ class Alternative:
         if isinstance(event, UnitDoubted) and self._beside == NO_FORCES and self._doubts_gyros(event, "depth"):
             self._exclude(slice(3), event.since_s)
             self._choice.on_restart(NO_UNIT, NO_FORCES)
+            self._choice.leave(NO_FORCES)
             self._beside = NO_UNIT
 
     def _is_given_up(self) -> bool:
@@ -346,6 +346,7 @@ class Alternative:
             first = own.layout.drive.start + places[:1]
             own.apply(Inflate(first, first, sd**2), _ignore)
         self._choice.on_restart(WITH_UNIT)
+        self._choice.leave(ALL - WITH_UNIT - self._lane)
         self._beside, self._settles = WITH_UNIT, True
 
 

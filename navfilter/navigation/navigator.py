@@ -312,7 +312,7 @@ class Navigator(NavigatorStatus):
         """Show learning what the filter does, and give it the error models that learning answers with."""
         self.change_count += 1
         if isinstance(event, UnitDoubted):
-            self.alternative.begin(event, self.on_event)
+            self.alternative.begin(event)
         for change in self.learning.on_event(event):
             self.filter.adopt(change, self.on_event)
             self.alternative.adopt(change)
