@@ -135,7 +135,7 @@ class Alternative:
         if not self._made:
             self._made, self._filter = True, Filter(self._vehicle, self._main.start, FaultMonitor(self._vehicle))
         force_sd = self._vehicle.drive.gap_force_sd  # type: ignore[attr-defined]
-        self._choice = LaneChoice([True, False, False], self._vehicle.sensors, self._main.time_s, force_sd)
+        self._choice = LaneChoice([True, False, False], dict(self._vehicle.sensors), self._main.time_s, force_sd)
         self._numbers = {name: i for i, name in enumerate(self._choice.names)}
         self._lane, self._refused_s, self._settles = WITH_UNIT, self._main.time_s, False
         self._beside, self._patience_s = NO_UNIT, ANEW_S
@@ -188,19 +188,25 @@ class Alternative:
 
     def _leave_out(self, lane: int, since_s: float) -> None:
         """Let the second filter begin anew from the run, without what may have been wrong since a time [s]."""
-        own, known_s = self._filter, self._main.time_s
-        ways = {name: kept.way for name, kept in self._main.memory.monitor.channels.items() if kept.way is not None}
+        own, main = self._filter, self._main
+        refused = [c.name for c in main.channels.values() if not math.isnan(c.faults.rejected_since_s)]
+        ways = {name: main.channels[name].faults.way for name in refused}
+        known_s = since_s if all(way is None for way in ways.values()) else main.time_s
         self._take_state()
         for name, way in ways.items():
-            # if it was the unit, the way of what was refused was made, and its velocity is the vehicle's
-            channel, off = own.channels[name], full_residual(self._main, self._main.channels[name])
-            channel.faults.way = way
-            own.act(followed(own, channel), _ignore)
-            channel.faults.way = None
-            velocity = float(np.nansum(off**2))
-            own.apply(Inflate(range(2, 6), range(2, 6), np.array([way.length**2, *[velocity] * 3])), _ignore)
+            # if it was the unit, what was refused is right: the way of a velocity was made, a place is where it is
+            channel, off = own.channels[name], full_residual(main, main.channels[name])
+            if way is not None:
+                channel.faults.way = way
+                own.act(followed(own, channel), _ignore)
+                channel.faults.way = None
+                velocity = float(np.nansum(off**2))
+                own.apply(Inflate(range(2, 6), range(2, 6), np.array([way.length**2, *[velocity] * 3])), _ignore)
+            elif channel.sensor.observes.corrects in ("position", "depth"):
+                seen = np.nan_to_num(main.channels[name].near[:, :3])
+                own.apply(Inflate(range(3), range(3), np.nan_to_num(off) ** 2 @ seen**2), _ignore)
         self._beside, self._settles = lane, False
-        self._exclude(slice(3, 6), known_s if ways else since_s)
+        self._exclude(slice(3, 6), known_s)
         if lane == NO_UNIT:
             self._exclude(slice(3), since_s)
         self._choice.on_restart(lane)
