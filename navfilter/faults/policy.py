@@ -231,7 +231,8 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
         yield from depth_fault.open_both(filter, channel, time_s)
         return False
     refused = channel.faults.refused
-    if refused is not None and (refused.odd or refused.count == 1):  # they contradict each other: the state need not be
+    if refused is not None and (refused.odd or refused.count == 1) and _held(filter, channel, time_s):
+        # they contradict each other: the state need not be what is wrong
         channel.R += reading.nis * channel.S[: channel.axes]
         yield from _readmit(filter, channel, time_s)
         return True
@@ -243,6 +244,13 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
     yield from alternative_path.followed(filter, channel)
     yield from _readmit(filter, channel, time_s)
     return True
+
+
+def _held(filter: FilterState, fixes: Channel, time_s: float) -> bool:
+    """Whether it is fixes that are refused, and a velocity holds the state meanwhile."""
+    velocities = (c.memory.used_s for c in filter.channels.values() if c.sensor.observes.corrects == "velocity")
+    held = time_s - max(velocities, default=-math.inf) < settings.RECENT_S
+    return held and fixes.sensor.observes is Observable.FIX
 
 
 def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
