@@ -8,6 +8,7 @@ import faults_run as watched
 import numpy as np
 import pytest
 from feeding import once_a_second
+from scipy.stats import norm
 
 import navfilter as nf
 from navfilter.faults import policy, sensor_bias
@@ -342,3 +343,30 @@ def test_a_compass_that_follows_no_turn_is_left_out(seed):
     # iron that turns it by up to 25 deg leaves a compass
     iron = altered(mission, "compass", lambda value: wrap(value + 25.0 * DEG * np.cos(value - 1.0)), FAULT_S)
     assert fly(vehicle, iron)[0].health.sensors["compass"].condition == "jumped"
+
+
+def test_a_constant_is_dropped_where_its_density_at_none_has_grown():
+    vehicle, mission = dive()
+    nav, _ = fly(vehicle, altered(mission, "depth", lambda v: v + 5.0, FAULT_S + 10.0), FAULT_S + 40.0)
+    depth, memory = nav.filter.channels["depth"], nav.filter.memory
+    (place,) = sensor_bias.offset_places(depth)
+    before = norm(0.0, math.sqrt(depth.group.P0[depth.offsets[0], depth.offsets[0]]))
+    for size in (0.0, 0.1, 0.3, 1.0, 5.0):
+        for share in (0.01, 0.1, 0.5, 0.99):
+            known = norm(size, share * before.std())
+            memory.x[place - 9], memory.P[place, place] = size, known.var()
+            assert sensor_bias.is_none(depth, memory.x, memory.P) == (known.pdf(0.0) > before.pdf(0.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fixes_that_scatter_do_not_set_the_position_while_a_velocity_holds_it(seed):
+    """One in five seconds, 24 times as noisy as described: refused, they contradict each other."""
+    vehicle, mission = simulate_scenario("lawnmower", 3, 600.0)
+    stream = mission.streams["gps"]
+    scatter = np.random.default_rng(seed).normal(size=(len(stream.time_s), 1)) * [1.0, 1.0, 0.0]
+    value = stream.value + np.where(stream.time_s > 200.0, 70.0 / RADIUS_M, 0.0)[:, None] * scatter
+    thinned = slice(None, None, 5)
+    fixes = nf.Stream(stream.time_s[thinned], value[thinned], stream.columns)
+    track = nf.replay(vehicle, mission.with_stream("gps", fixes), output_rate_hz=1.0)
+    nees = track.nees(track.errors(mission.truth))["position"]
+    assert np.nanmax(nees[track.time_s > 200.0]) < 16.3 / 3.0  # of three components one in a thousand is beyond

@@ -1,6 +1,7 @@
 """While the inertial unit is in doubt the same filter goes on without it beside the run, and the readings decide."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from feeding import events_of, one_by_one
 import navfilter as nf
 from navfilter.evaluation.baselines import rivals
 from navfilter.evaluation.montecarlo.campaign import Campaign
+from navfilter.faults import settings
 from navfilter.navigation import runner
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
@@ -160,6 +162,47 @@ def test_smoothing_over_a_change_of_filters_is_finite_and_honest(dive):
     assert track.counts["contradicted"] == 3 and np.isfinite(track.covariance).all()
     nees = track.nees(track.errors(mission.truth))["position"]
     assert np.nanmean(nees[track.time_s > 140.0]) < 3.0
+
+
+def test_without_a_compass_the_gyros_are_kept(dive):
+    vehicle, mission, clean = dive
+    alone, begun = vehicle.without("compass"), mission.hide("compass", (-math.inf, math.inf))
+    track = nf.replay(alone, spoiled(begun, plus(3, 3.0)), output_rate_hz=1.0)
+    assert track.counts["contradicted"] == 3
+    errors = track.errors(mission.truth)
+    assert np.nanmax(errors.horizontal) < 6.0 + np.nanmax(clean.errors(mission.truth).horizontal)
+    assert np.nanmean(track.nees(errors)["heading"][track.time_s > FAULT_S]) < 9.0
+
+
+def test_gyros_that_fail_beside_accelerometers_that_have_are_left_out_too(dive):
+    vehicle, mission, clean = dive
+    wrong = spoiled(spoiled(mission, plus(3, 3.0)), plus(2, 0.2), begin_s=200.0)
+    track = nf.replay(vehicle, wrong, output_rate_hz=1.0)
+    assert track.counts["contradicted"] == 6
+    errors = track.errors(mission.truth)
+    # one sensor has to speak for a third of a minute; until then 1.5 m/s may lead the other way
+    most_m = 2.0 * 1.5 * settings.LANE_SHARE * settings.WINDOW_S
+    assert np.nanmax(errors.horizontal) < most_m + np.nanmax(clean.errors(mission.truth).horizontal)
+    assert np.nanmean(track.nees(errors)["heading"][track.time_s > 270.0]) < 9.0
+
+
+def test_sensors_whose_clocks_are_states_bring_the_unit_back(dive):
+    vehicle, mission, _ = dive
+    clocks = {name: replace(sensor, time_offset_sd_s=0.02) for name, sensor in vehicle.sensors.items()}
+    vehicle = nf.Vehicle(vehicle.drive, clocks)
+    nav = nf.Navigator(vehicle, mission.start)
+    one_by_one(nav, events_of(vehicle, spoiled(mission, plus(3, 3.0), end_s=130.0)))
+    assert nav.counts["contradicted"] and set(nav.health.axes.values()) == {"good"}
+
+
+def test_who_wants_no_second_filter_has_none_after_a_restart(dive):
+    vehicle, mission, _ = dive
+    events = events_of(vehicle, spoiled(mission, plus(3, 3.0)))
+    nav = nf.Navigator(vehicle, mission.start, alternative=False)
+    one_by_one(nav, [e for e in events if e.time_s < 100.0])
+    again = nf.Navigator.restore(vehicle, nav.snapshot(), alternative=False)
+    one_by_one(again, [e for e in events if 100.0 <= e.time_s < 150.0])
+    assert not again.alternative.is_alive and again.counts["contradicted"] == 0
 
 
 @pytest.mark.parametrize(

@@ -165,7 +165,8 @@ SECOND = 10.0
 #: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
 #: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again. The
 #: other lane has to follow it: of what contradicts the unit, this share may contradict that lane too [1]. Readings in
-#: another unit of measurement contradict both, though the lane follows what of them is not beyond belief. (chosen)
+#: another unit of measurement contradict both, though the lane follows what of them is not beyond belief. What has been
+#: contradicted before, any other sensor contradicts beyond the margin and that share. (chosen)
 ALONE, LANE_SHARE, FOLLOWS = 900.0, 0.3, 0.1
 #: Or a unit runs away from a velocity. A sensor that has jumped contradicts it by as much for as long as it does; by
 #: what a unit feels wrong, it moves off further with each reading. A component contradicts beyond this NIS [1] (6e-7

@@ -46,6 +46,13 @@ def euler_from_matrix(C_nb: ArrayLike) -> Array:
     return np.stack([roll, pitch, np.arctan2(C[..., 1, 0], C[..., 0, 0])], axis=-1)
 
 
+def turn_to_down(direction: Array) -> Array:
+    """Rotation vector in n that turns a direction in n, shape (3,), to straight down [rad]."""
+    across = math.hypot(direction[0], direction[1])
+    angle = math.atan2(across, direction[2])
+    return np.array([direction[1], -direction[0], 0.0]) * (angle / across if across > 0.0 else 1.0)
+
+
 def rotation_matrix(vector: ArrayLike) -> Array:
     """``exp([v x])`` of rotation vectors [rad], shape (..., 3) to (..., 3, 3) (Rodrigues)."""
     v = np.asarray(vector, dtype=float)

@@ -147,7 +147,8 @@ class Alternative:
         self.is_alive, own = True, self._filter
         found = misfit(memory, self.memory, "memory.alternative") or memory.filter.problem(own.memory)
         found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
-        if not found and not {memory.lane, memory.beside, memory.choice.lane} <= {WITH_UNIT, NO_FORCES, NO_UNIT}:
+        both = {memory.lane, memory.beside}
+        if not found and not (len(both) == 2 and memory.choice.lane in both <= {WITH_UNIT, NO_FORCES, NO_UNIT}):
             found = "memory.alternative.lane is none"
         if not found and not (abs(memory.choice.step) < 2**53 and math.isfinite(memory.refused_s)):
             found = "memory.alternative has a time that is none"

@@ -23,6 +23,7 @@ from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
 from navfilter.models.error_models import ErrorModel, Sum
 from navfilter.models.mechanisation import Mechanisation
+from navfilter.models.state import turn_to_down
 
 Array = NDArray[np.float64]
 #: In words, by the kernel's codes.
@@ -247,13 +248,11 @@ def _come_back_to_level(memory: FilterMemory) -> Iterator[Action]:
     """
     yield Fold()
     P, C = memory.P, memory.nav[6:15].reshape(3, 3)
-    across = np.hypot(C[0, 2], C[1, 2])
-    turn = np.array([C[1, 2], -C[0, 2], 0.0]) * (np.arctan2(across, C[2, 2]) / across if across > 0.0 else 1.0)
     H = np.zeros((2, len(P)))
     H[:, 6:9] = C.T[:2]
     S = H @ P @ H.T + np.diag(_tilts(memory.monitor.imu) ** 2) * strapdown.GAP_TILT_S / kernel.JUDGED_S
     K = np.linalg.solve(S, H @ P).T
-    yield Correct(np.asarray(K @ (C.T[:2] @ turn), dtype=np.float64), -K @ S @ K.T)
+    yield Correct(np.asarray(K @ (C.T[:2] @ turn_to_down(C[:, 2])), dtype=np.float64), -K @ S @ K.T)
 
 
 @lru_cache(64)  # other sensors' error models change under way, those of the unit hardly ever

@@ -27,7 +27,7 @@ from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import imu_checks as kernel
 from navfilter.kernels import strapdown
-from navfilter.models.state import rotation_matrix
+from navfilter.models.state import rotation_matrix, turn_to_down
 
 Array = NDArray[np.float64]
 
@@ -197,9 +197,7 @@ def _level(filter: FilterState) -> AccelerometerLevel | None:
     gravity, size = strapdown.gravity(memory.nav[0], memory.nav[2]), float(np.linalg.norm(force))
     if not abs(size - gravity) < settings.EXCESS:
         return None
-    down = state.C_nb @ (-force / size)
-    angle, across = math.atan2(math.hypot(down[0], down[1]), down[2]), math.hypot(down[0], down[1])
-    turn = np.array([down[1], -down[0], 0.0]) * (angle / across if across > 0.0 else 1.0)
+    turn = turn_to_down(state.C_nb @ (-force / size))
     drive = filter.vehicle.drive
     shaken = watch[3:6, kernel.NOISE].max() / 6.0 * drive.period_s / kernel.MEAN_S
     bias = np.einsum("ij,jk,ik->i", C, memory.P[9 : 9 + k, 9 : 9 + k], C).max()
