@@ -94,7 +94,7 @@ def test_spectra_are_mixed():
     known = sum(part.sd**2 for part in beside.slow if isinstance(part, nf.GaussMarkov))
     assert known == pytest.approx(0.5 * (0.1**2 + 0.02**2), rel=1e-6)
     if alone.model.p == alone.model.q == 0:  # one white noise is enough
-        assert beside.model.sd**2 == pytest.approx(0.5 * alone.model.sd**2 + 0.5 * 0.05**2)
+        assert beside.model.sd**2 == pytest.approx(0.5 * alone.model.sd**2 + 0.5 * max(alone.model.sd, 0.05) ** 2)
         assert not any(isinstance(part, nf.White) for part in beside.slow)
 
 
@@ -102,7 +102,18 @@ def test_white_noise_stands_beside_a_coloured_fast_part():
     beside, alone = handed_out(QUICK, 200.0, nf.GaussMarkov(sd=0.1, tau_s=2.0))
     assert alone.model.p == 1
     (white,) = beside.slow
-    assert white == nf.White(sd=0.05 * math.sqrt(0.5))
+    # readings scatter by more from one to the next than was described
+    assert white == nf.White(sd=alone.model.sd * math.sqrt(0.5)) and alone.model.sd > 0.05
+
+
+def test_no_description_takes_away_what_readings_scatter_by():
+    for sd in (0.01, 0.05, 0.2):
+        beside, alone = handed_out(nf.White(sd=sd), 200.0)
+        left, had = (
+            one.model.sd**2 + sum(part.sd**2 for part in one.slow if isinstance(part, nf.White))
+            for one in (beside, alone)
+        )
+        assert left == pytest.approx(0.5 * had + 0.5 * max(sd**2, had))
 
 
 def test_walks_are_the_drifts():

@@ -4,13 +4,14 @@ One step ahead a sensor scatters by little; what a filter makes of it depends on
 right one step ahead may be wrong there, and readings say so only slowly. So what is handed out is a mixture of both,
 with the spectrum ``(1 - pi) S_learnt + pi S_described``. Beforehand one is as likely as the other; then ``pi = 1 / (1 +
 exp(l_learnt - l_described))``, where l is the exact Gaussian log-likelihood of the sums over `HORIZON_S` of the
-open-loop series, beside its drift.
+open-loop series, beside its drift. What readings scatter by from one to the next is known, and stands in both.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,13 +88,16 @@ def mixed(
         return learnt
     period_s, fast = likelihood.drift.period_s, learnt.model
     blocks = [part.block(period_s) for part in described]
+    noise = sum(part.block(period_s).r for part in learnt.slow)
+    # readings scatter by as much from one to the next, whatever is described
+    white = max(sum(block.r for block in blocks), noise + fast.sd**2)
     own = joined_block([register_block(fast), *(part.block(period_s) for part in learnt.slow)])
-    pi = described_share(likelihood, joined_block(blocks), own)
+    theirs = joined_block([*(replace(block, r=0.0) for block in blocks), White(math.sqrt(white)).block(period_s)])
+    pi = described_share(likelihood, theirs, own)
     told = [_moment(part, block, pi, period_s) for part, block in zip(described, blocks, strict=True) if block.size]
     both = np.concatenate([np.reshape(told, (-1, 4)), moments * [1.0, 1.0, 1.0 - pi, 1.0]])
     slow: tuple[ErrorModel, ...] = nearest(both)
-    noise = sum(part.block(period_s).r for part in learnt.slow)
-    sd, white = fast.sd * math.sqrt(1.0 - pi), math.sqrt(pi * sum(block.r for block in blocks) + (1.0 - pi) * noise)
+    sd, white = fast.sd * math.sqrt(1.0 - pi), math.sqrt(pi * white + (1.0 - pi) * noise)
     if fast.p + fast.q == 0:
         sd, white = math.hypot(sd, white), 0.0
     if white:
