@@ -152,14 +152,16 @@ def test_what_promises_nothing_is_not_begun():
 
 @pytest.mark.parametrize("ar", [-0.05, -0.6, 0.9])
 def test_an_order_is_weighed_by_the_integral_over_its_coefficients(ar):
-    """A coefficient that is uniform between -1 and 1 beforehand, against white noise, both of any size."""
+    """A coefficient whose ln A(1) is uniform beforehand, against white noise, both of any size."""
     y = lfilter([1.0], [1.0, ar], np.random.default_rng(29).standard_normal(400))
     likelihood, learner = Likelihood(y, Drift((), PERIOD_S), 0.0), Learner(ORDERS, 400, Drift((), PERIOD_S))
     white = white_point(likelihood)
     coloured = maximise(likelihood, [np.r_[ar, white.theta]], 1, 20)
     sizes, coefficients = coloured.theta[-1] + np.linspace(-0.3, 0.3, 61), np.linspace(-0.995, 0.995, 399)
     alone = np.exp(white.value - likelihood.penalised((white.theta[-1] + sizes - sizes[30])[:, None], 0)).mean()
-    both = np.exp(coloured.value - likelihood.penalised([[a, u] for a in coefficients for u in sizes], 1)).mean()
+    both = np.exp(coloured.value - likelihood.penalised([[a, u] for a in coefficients for u in sizes], 1))
+    density = np.maximum(1.0 + coefficients, likelihood.least_level) ** -1.0
+    both = (both.reshape(399, 61).mean(axis=1) @ density) / density.sum()
     found = learner._score(likelihood, white, 400)[0] - learner._score(likelihood, coloured, 400)[0]
     expected = white.value - coloured.value + math.log(both / alone)
     assert found == pytest.approx(expected, abs=0.4)

@@ -279,7 +279,8 @@ class Learner:
         """
         k, share = point.theta.size - 2 * bool(point.slow), log_share(likelihood, point)
         _, volume = np.linalg.slogdet((n * np.eye(k) + point.info[:k, :k]) / BEFOREHAND)
-        return point.value + 0.5 * float(volume) - share, share
+        shape = likelihood.log_shape(point.theta, point.p, point.slow)
+        return point.value + 0.5 * float(volume) - shape - share, share
 
     def _fits(self, likelihood: Likelihood, able: list[Kind], n: int) -> tuple[dict[Kind, Point], dict[Kind, float]]:
         """Orders without a slow part and beside one of first order, and their scores. Each begins from its last
@@ -290,9 +291,11 @@ class Learner:
         best, shares, growth = math.inf, [0.0, 0.0], Growth(likelihood)
         # what it costs to be larger, and a slow part, comes off what an order may be worth
         price = 0.5 * math.log(2.0 * n / BEFOREHAND)
+        least = likelihood.least_level
+        most = -math.log(0.5 * least * math.log(2.0 / least))
         for kind in able:
             p, q, slow = kind
-            enough = best + EFFORT.hopeless - price * (p + q + 1) + shares[slow]
+            enough = best + EFFORT.hopeless - price * (p + q + 1) + most * ((p > 0) + (q > 0)) + shares[slow]
             known = kind in self._memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
             if p + q:

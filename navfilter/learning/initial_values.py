@@ -108,27 +108,26 @@ class Growth:
 
         `below` are estimates of orders that may become (p, q), at least one.
         """
-        found, lowest, pays = [], math.inf, False
-        for more in _factors():
+        found, lowest, pays, shape = list[tuple[float, Order, Array]](), math.inf, False, self.likelihood.log_shape
+        for more, (ar, ma, _) in _factors().items():
             lower = [k for k in below if k[0] + more[0] <= p and k[1] + more[1] <= q]
             if not lower:
                 continue
             best = min(lower, key=lambda k: below[k].value)
-            fall, of = self.promised(below[best])[more]
-            gain, value = 0.5 * self.likelihood.n * max(fall, 0.0), below[best].value
-            found.append((value - gain, best, more, of, fall))
-            lowest = min(lowest, value - EFFORT.optimism * gain)
-            pays = pays or gain > price * (p + q - sum(best))
+            point, at = below[best], sum(best)
+            fall, of = self.promised(point)[more]
+            poles, zeros = _product(point.theta[: best[0]], ar[of]), _product(point.theta[best[0] : at], ma[of])
+            theta = np.concatenate([poles, zeros, point.theta[at:]])
+            theta[at + sum(more)] -= 0.5 * fall
+            start = padded_start(theta, poles.size, p, q, point.slow)
+            gain = 0.5 * self.likelihood.n * max(fall, 0.0)
+            found.append((point.value - gain, more, start))
+            lowest = min(lowest, point.value - EFFORT.optimism * gain)
+            gain += shape(start, p, point.slow) - shape(point.theta, best[0], point.slow)
+            pays = pays or gain > price * (p + q - at)
         if not pays and lowest > enough:
             return []
-        starts = []
-        for _, best, more, of, fall in sorted(found):
-            theta, at, (ar, ma, _) = below[best].theta, sum(best), _factors()[more]
-            poles, zeros = _product(theta[: best[0]], ar[of]), _product(theta[best[0] : at], ma[of])
-            theta = np.concatenate([poles, zeros, theta[at:]])
-            theta[at + sum(more)] -= 0.5 * fall
-            starts.append(padded_start(theta, poles.size, p, q, below[best].slow))
-        return starts
+        return [start for _, _, start in sorted(found, key=lambda one: one[:2])]
 
 
 def grown_point(likelihood: Likelihood, p: int, q: int, passes: int) -> Point:

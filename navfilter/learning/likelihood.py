@@ -157,6 +157,19 @@ class Likelihood:
         """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
         return theta[..., :-2] if slow else theta
 
+    @property
+    def least_level(self) -> float:
+        """A(1) of the slowest pole that a fast part may have."""
+        return max(float(self._limits[0]), 1.0 - self.pole_radius)
+
+    def log_shape(self, theta: Array, p: int, slow: int) -> float:
+        """Log of how much denser the prior of the coefficients is than an even one from -1 to 1. Nobody knows the time
+        of a colour: ln A(1) and ln C(1) are even, up to ln 2.
+        """
+        coefs, least = self.fast(theta, slow)[:-1], self.least_level
+        levels = [max(1.0 + float(part.sum()), least) for part in (coefs[:p], coefs[p:]) if part.size]
+        return -sum(math.log(0.5 * math.log(2.0 / least) * level) for level in levels)
+
     def standardised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> tuple[Array, Array]:
         """Minus the log-likelihood of some models, shape (K,), and their innovations in standard deviations (N, K), NaN
         where nothing counts, which hold until the next call.
