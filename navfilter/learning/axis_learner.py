@@ -292,10 +292,11 @@ class Learner:
         # what it costs to be larger, and a slow part, comes off what an order may be worth
         price = 0.5 * math.log(2.0 * n / BEFOREHAND)
         least = likelihood.least_level
-        most = -math.log(0.5 * least * math.log(2.0 / least))
+        dear, back = price + math.log(0.5 * math.log(2.0 / least)), -math.log(least)
         for kind in able:
             p, q, slow = kind
-            enough = best + EFFORT.hopeless - price * (p + q + 1) + most * ((p > 0) + (q > 0)) + shares[slow]
+            cost = price + dear * (p + q) - back * ((p > 0) + (q > 0)) - shares[slow]
+            enough = best + EFFORT.hopeless - cost
             known = kind in self._memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
             if p + q:

@@ -164,11 +164,11 @@ class Likelihood:
 
     def log_shape(self, theta: Array, p: int, slow: int) -> float:
         """Log of how much denser the prior of the coefficients is than an even one from -1 to 1. Nobody knows the time
-        of a colour: ln A(1) and ln C(1) are even, up to ln 2.
+        of a colour: of each partial correlation k ``ln(1 + k)`` is even. Their product is A(1), or C(1).
         """
         coefs, least = self.fast(theta, slow)[:-1], self.least_level
-        levels = [max(1.0 + float(part.sum()), least) for part in (coefs[:p], coefs[p:]) if part.size]
-        return -sum(math.log(0.5 * math.log(2.0 / least) * level) for level in levels)
+        levels = [max(1.0 + float(part.sum()), least) for part in (coefs[:p], coefs[p:])]
+        return -coefs.size * math.log(0.5 * math.log(2.0 / least)) - sum(map(math.log, levels))
 
     def standardised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> tuple[Array, Array]:
         """Minus the log-likelihood of some models, shape (K,), and their innovations in standard deviations (N, K), NaN
