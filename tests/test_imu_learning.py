@@ -15,7 +15,7 @@ from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
 from navfilter.learning.arma_fit import zero_frequency
 from navfilter.learning.axis_learner import Learner
-from navfilter.learning.model_reduction import hand_over, plainer
+from navfilter.learning.model_reduction import hand_over
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.static_recorder import RestRecorder
 from navfilter.models.error_models import RandomWalk, Sum
@@ -234,16 +234,8 @@ def test_a_time_constant_that_the_window_holds_often_stays():
     assert left is true and model is GYRO
 
 
-def test_white_noise_that_fails_a_test_of_whiteness_stays_white():
-    y, drift = GYRO_SD * np.random.default_rng(5).normal(size=4000), Drift((1e-6,), PERIOD_S)
-    chance = ArmaModel([0.04], [], GYRO_SD, np.array([[1.0 / 4000]]))
-    assert plainer(chance, y, drift, 0.0).p == 0
-    coloured = ArmaModel([-0.3], [], GYRO_SD, np.array([[1.0 / 4000]]))
-    assert plainer(coloured, nf.simulate_arma([-0.3], [], GYRO_SD, 4000, seed=1), drift, 0.0) is coloured
-
-
 def test_an_axis_is_white_or_coloured_and_not_both():
-    """Of colour that 4000 samples hardly show: white noise beside it kept it from being made plainer."""
+    """Of colour that 4000 samples hardly show."""
     gyro, accel = (walk + nf.Arma((-0.05,), (), sd) for walk, sd in ((WALK, GYRO_SD), (FORCE_WALK, FORCE_SD)))
     nav = run(vehicle_of(), at_rest(65.0, gyro, accel))
     parts = [learned_part(model) for model in nav.filter.in_force.drive.models]

@@ -1,6 +1,4 @@
-"""Learnt models made plainer: white noise where nothing else is shown, and a random walk for what cannot be told from a
-bias.
-"""
+"""What cannot be told from a bias of an inertial axis is added to its random walk."""
 
 from __future__ import annotations
 
@@ -19,33 +17,6 @@ CYCLES = 10.0
 #: Poles nearer to 1 than these parts of the series are the bias, with what the learner's own limit is short of 3.
 #: Beyond `CYCLES` parts they may be.
 SAME = 3.03
-
-
-def plainer(found: ArmaModel, series: Array, drift: Drift, white: float) -> ArmaModel:
-    """White noise in place of a learnt model that is no better by BIC.
-
-    States of an inertial axis cost at every sample. A learner takes a larger order where white noise fails a test of
-    whiteness, which one window in a hundred does by chance.
-
-    Parameters
-    ----------
-    found : ArmaModel
-    series : ndarray, shape (n,)
-        What it was learnt from.
-    drift : Drift
-        The known random walk.
-    white : float
-        Known white variance.
-
-    Returns
-    -------
-    ArmaModel
-    """
-    if found.p + found.q == 0:
-        return found
-    own = fit_channel(series, drift, found.p, found.q, white=white, start=found, passes=0)
-    plain = fit_channel(series, drift, 0, 0, white=white)
-    return plain.model if plain.bic <= own.bic else found
 
 
 def hand_over(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navfilter.filter.monitor import FilterState
 from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.learned_model import learnt_from
-from navfilter.learning.model_reduction import hand_over, plainer
+from navfilter.learning.model_reduction import hand_over
 from navfilter.learning.setup import believed, memories, recall
 from navfilter.learning.slow_prior import described_blocks
 from navfilter.models.error_models import ErrorModel, per_axis
@@ -263,11 +263,8 @@ class RestRecorder:
             found, _ = learnt_from(fit.likelihood, [likelier], fit.n)
             drift, white, model = self._drifts[axis], self._white[axis], self._described[axis]
             fast, slow = found.model, found.slow
-            if not slow:
-                fast = plainer(fast, y, drift, white)
-                if known_walk(model):
-                    fast, model = hand_over(fast, model, y, drift, white)
-                    fast = plainer(fast, y, replace(drift, density=(known_walk(model),)), white)
+            if not slow and known_walk(model):
+                fast, model = hand_over(fast, model, y, drift, white)
             joined = sum(slow[1:], start=slow[0]) if slow else None
             new[axis] = with_learned(model, replace(part, model=fast, slow=joined, spectrum=found.spectrum))
         before, memory.models = memory.models, tuple(new)
