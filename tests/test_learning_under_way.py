@@ -203,7 +203,7 @@ def test_white_readings_of_what_is_described_as_white_leave_little_to_slow_error
     for part in parts:
         quick = replace(part, slow=part.beside[-1] if isinstance(part.beside[-1], nf.White) else None)
         block = quick.block(0.25)
-            # of white noise of that size; a hundred readings leave room for colour of some seconds
+        # of white noise of that size; a hundred readings leave room for colour of some seconds
         assert block_level(block) < 3.0 * (block.r + block.C @ block.P0 @ block.C)
         assert sum(one.sd**2 for one in part.slow_parts) < 0.1 * BELIEF["dvl"].sd ** 2
     off = [np.mean(np.sum(track.errors(mission.truth).position_n[:, :2] ** 2, axis=1)) for track in (learnt, plain)]
