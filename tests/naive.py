@@ -1410,7 +1410,7 @@ def after_reading(ear, nis, dof, ticks, learning):
     changed = False
     if ear[4] and dof and np.isfinite(nis):
         judge_level(ear, nis, dof)
-        changed = ear[6:13].max() > ear[4] * ear[6:13][2.0 ** np.arange(7) == ear[5]].sum()
+        changed = not 1.0 / ear[4] <= ear[6:13] @ 2.0 ** np.arange(7) / ear[5] <= ear[4]
     return bool(changed or ear[1] >= ear[3])
 
 

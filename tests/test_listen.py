@@ -12,7 +12,6 @@ from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
 from navfilter.kernels import kalman, open_loop_residual
-from navfilter.learning.open_loop_series import ANOTHER
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LONGEST_GAP
@@ -40,14 +39,14 @@ def ear(random, level=1.0):
         random.integers(90),
         random.integers(20),
     )
-    out[[open_loop_residual.ANOTHER, open_loop_residual.LEVEL]] = ANOTHER, level
+    out[[open_loop_residual.ANOTHER, open_loop_residual.LEVEL]] = 2.0, level
     odds = random.exponential(size=len(open_loop_residual.LEVELS)) ** 3
     out[open_loop_residual.ODDS : open_loop_residual.MOUNT] = odds / odds.sum()
     return out
 
 
 @pytest.mark.parametrize("learning", [True, False])
-@pytest.mark.parametrize("level", [1.0, 4.0])
+@pytest.mark.parametrize("level", [1.0, 5.0])
 def test_attend(level, learning):
     rng = np.random.default_rng(3)
     told = []
@@ -65,7 +64,7 @@ def test_attend(level, learning):
 def test_levels_by_bayes_rule():
     rng = np.random.default_rng(5)
     for dof in (1.0, 2.0, 3.0):
-        args = ear(rng, 4.0), rng.exponential(10.0), dof
+        args = ear(rng, 3.0), rng.exponential(10.0), dof
         ours, twins = run_both(open_loop_residual.judge_level, *args)
         assert_close([ours[0]], [twins[0]], 1e-12)
         assert ours[0][open_loop_residual.ODDS : open_loop_residual.MOUNT].sum() == pytest.approx(1.0)
@@ -79,7 +78,7 @@ def levels(scale, seed, dof=1):
     for sd, e in zip(scale, np.random.default_rng(seed).standard_normal((len(scale), dof)), strict=True):
         level = heard[open_loop_residual.LEVEL]
         if open_loop_residual.after_reading(heard, sd**2 * (e @ e) / level, float(dof), 1, True):
-            heard[open_loop_residual.LEVEL] = open_loop_residual.LEVELS[int(heard[odds].argmax())]
+            heard[open_loop_residual.LEVEL] = heard[odds] @ open_loop_residual.LEVELS
         found.append(heard[open_loop_residual.LEVEL])
     return np.array(found)
 
@@ -90,7 +89,7 @@ def test_a_level_follows_at_once_and_comes_back():
     for seed in range(10):
         found = levels(trebled, seed)
         assert np.mean(found[:2000] > 1.0) < 0.01  # by chance, for a moment
-        assert np.all(np.isin(found[2080:2480], [8.0, 16.0]))  # ten seconds later
+        assert np.all((found[2080:2480] > 4.0) & (found[2080:2480] < 20.0))  # ten seconds later
         assert np.mean(found[2600:] > 2.0) < 0.01
         spike = np.ones(600)
         spike[500] = 100.0

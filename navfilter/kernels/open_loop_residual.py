@@ -25,8 +25,8 @@ from navfilter.kernels.compiling.decorators import UNCOUNTED, njit, shaped
 
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
-# its ring, ticks by which there is something to do; how many times as probable as that in force another level must be
-# (0: none is watched for), the level in force, the probability of each of `LEVELS`; elements of `mount`.
+# its ring, ticks by which there is something to do; by which factor its level must differ to be another one (0: it is
+# not watched), the level in force, the probability of each of `LEVELS`; elements of `mount`.
 KIND, NOTED, CAPACITY, DUE, ANOTHER, LEVEL, ODDS = range(7)
 # An error may be so many times as large as its model, as a variance [1]: by twos, up to eight times the sd.
 LEVELS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
@@ -49,13 +49,11 @@ MOST, NIS_MOST = (9.0, 11.83, 14.16, 16.25, 18.21, 20.06), 25.0
 
 @njit(cache=True, **UNCOUNTED)
 def _is_another(ear):
-    """Whether a level is more probable than that in force, by a factor."""
-    most, now = 0.0, 0.0
+    """Whether the mean level is another one than that in force."""
+    mean = 0.0
     for k in range(len(LEVELS)):
-        most = max(most, ear[ODDS + k])
-        if LEVELS[k] == ear[LEVEL]:
-            now = ear[ODDS + k]
-    return most > ear[ANOTHER] * now
+        mean += ear[ODDS + k] * LEVELS[k]
+    return mean > ear[ANOTHER] * ear[LEVEL] or mean * ear[ANOTHER] < ear[LEVEL]
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

@@ -15,7 +15,6 @@ from navfilter.kernels import open_loop_residual
 from navfilter.learning.axis_learner import NOTHING_KNOWN, LearnerMemory
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
-from navfilter.learning.settings import EFFORT
 from navfilter.learning.setup import learner_of, memories, recall, with_learnt
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import known_walk, known_white, learning_part
@@ -27,8 +26,9 @@ from navfilter.models.window_limits import LEAST, LONGEST_GAP
 __all__ = ["ChannelSeries"]
 
 Array = NDArray[np.float64]
-#: Another level is one that is so many times as probable [1] (derived: it is what tells models apart).
-ANOTHER = math.exp(EFFORT.hopeless)
+#: Another level is one that differs by more than this factor, as a variance [1] (chosen: with 1.5 it changes twice as
+#: often).
+ANOTHER = 2.0
 #: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
 #: half minute that is the least a hop learns from.
 TAKEN_AFTER_S = 2.0
@@ -295,11 +295,12 @@ class OpenLoopSeries:
             self._memory.odds[:] = ear[open_loop_residual.ODDS : open_loop_residual.MOUNT]
 
     def is_another_level(self) -> bool:
-        """Whether another level than that in force is the one of the error; takes it."""
-        memory, levels = self._memory, open_loop_residual.LEVELS
-        if not self.is_watched or memory.odds.max() <= ANOTHER * memory.odds[levels.index(memory.level)]:
+        """Whether the error is larger or smaller than at the level in force, by another factor; takes the new one."""
+        memory, factor = self._memory, ANOTHER
+        mean = float(memory.odds @ open_loop_residual.LEVELS)
+        if not self.is_watched or memory.level / factor <= mean <= memory.level * factor:
             return False
-        memory.level = levels[int(memory.odds.argmax())]
+        memory.level = mean
         return True
 
     def forget_level(self) -> None:
