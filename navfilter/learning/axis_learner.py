@@ -291,12 +291,9 @@ class Learner:
         best, shares, growth = math.inf, [0.0, 0.0], Growth(likelihood)
         # what it costs to be larger, and a slow part, comes off what an order may be worth
         price = 0.5 * math.log(2.0 * n / BEFOREHAND)
-        least = likelihood.least_level
-        dear, back = price + math.log(0.5 * math.log(2.0 / least)), -math.log(least)
         for kind in able:
             p, q, slow = kind
-            cost = price + dear * (p + q) - back * ((p > 0) + (q > 0)) - shares[slow]
-            enough = best + EFFORT.hopeless - cost
+            enough = best + EFFORT.hopeless - price * (p + q + 1) + shares[slow]
             known = kind in self._memory.thetas
             starts = [self._known(likelihood, kind)] if known else []
             if p + q:
@@ -310,6 +307,7 @@ class Learner:
             if slow and (p, q, 0) in fits:
                 starts += with_slow_parts(likelihood, [fits[p, q, 0].theta], p)
             passes = EFFORT.late_passes if known else EFFORT.first_passes
+            enough += max((likelihood.log_shape(start, p, slow) for start in starts), default=0.0)
             point = maximise(likelihood, starts, p, passes, slow, enough) if starts else white_point(likelihood, slow)
             if _is_usable(point):
                 fits[kind] = point
