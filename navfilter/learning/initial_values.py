@@ -122,9 +122,8 @@ class Growth:
             start = padded_start(theta, poles.size, p, q, point.slow)
             gain = 0.5 * self.likelihood.n * max(fall, 0.0)
             found.append((point.value - gain, more, start))
-            denser = shape(start, p, point.slow)
-            lowest = min(lowest, point.value - EFFORT.optimism * gain - denser)
-            pays = pays or gain + denser - shape(point.theta, best[0], point.slow) > price * (p + q - at)
+            lowest = min(lowest, point.value - EFFORT.optimism * gain - shape(start, p, point.slow))
+            pays = pays or gain > price * (p + q - at)
         if not pays and lowest > enough:
             return []
         return [start for _, _, start in sorted(found, key=lambda one: one[:2])]
