@@ -350,8 +350,8 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
 
 
 def is_none(channel: Channel, x: Array, P: Array) -> bool:
-    """Whether the constants of a sensor that has jumped are rather none: their density at zero is more than it was when
-    they were put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971).
+    """Whether a sensor that has jumped rather has no constants: each of them, if it were the only one, has more density
+    at zero than when it was put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971).
 
     Parameters
     ----------
@@ -363,8 +363,9 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
     """
     places, sds = offset_places(channel), np.sqrt(np.diag(channel.group.P0)[channel.offsets])
     shares, axes = np.linalg.eigh(P[np.ix_(places, places)] / np.outer(sds, sds))
-    shares = np.maximum(shares, np.finfo(float).eps)  # what is left of each variance
-    return bool(-np.log(shares).sum() > ((axes.T @ (x[places - 9] / sds)) ** 2 / shares).sum())
+    information = axes / np.maximum(shares, np.finfo(float).eps) @ axes.T  # as shares of those at first
+    told, alone = information @ (x[places - 9] / sds), np.diag(information)
+    return bool((np.log(alone) > told**2 / alone).all())
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:
