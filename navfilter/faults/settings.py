@@ -237,8 +237,6 @@ ROUNDS = 8
 WAY_M = 50.0
 #: A sensor that was not used for long accuses after so long a time [s], longer than readings are late. (measured)
 LONG_S = 10.0
-#: While the vehicle turns faster, no force is told [rad/s]: an error of the heading is one that grows, too. (chosen)
-TURNING = 0.05
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.

@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from navfilter.faults import ground_velocity, settings
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.kernels import imu_checks, strapdown
+from navfilter.kernels import strapdown
 
 Array = NDArray[np.float64]
-#: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock.
-CURRENT, RAMP, SCALED, ARM, CLOCK = slice(0, 2), slice(2, 4), slice(4, 5), slice(5, 8), slice(8, 9)
+#: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock,
+#: and share of the change of the velocity since the run of refusals began.
+CURRENT, RAMP, SCALED, ARM, CLOCK, CHANGED = (slice(a, b) for a, b in ((0, 2), (2, 4), (4, 5), (5, 8), (8, 9), (9, 10)))
 RUN, ALL = 0, 1
+DESCRIBED_SDS = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,8 @@ class VelocityEvidence:
         Of the innovation when the first of these was refused [m^2/s^2].
     row : ndarray, shape (axes, p)
         Regressors of the last one.
+    began_n : ndarray, shape (3,)
+        Velocity in n when the first of these was refused [m/s].
     """
 
     sums: Array
@@ -57,6 +61,7 @@ class VelocityEvidence:
     time_s: float
     variance: float
     row: Array
+    began_n: Array
 
 
 def with_refused(filter: FilterState, channel: Channel, time_s: float) -> VelocityEvidence:
@@ -74,16 +79,18 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     # one that was let in by what explains it ends no run
     on_end = before is not None and time_s - before.time_s <= 1.5 * channel.period_s
     since_s = before.since_s if before is not None and on_end else since_s
-    row = _regressors(filter, channel, time_s - since_s + channel.period_s)
+    began_n = before.began_n if before is not None and before.since_s == since_s else filter.memory.nav[3:6].copy()
+    row = _regressors(filter, channel, time_s - since_s + channel.period_s, began_n)
     if before is None or before.row.shape != row.shape:
         before = VelocityEvidence(
-            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, math.nan, row
+            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, math.nan, row, began_n
         )
     if on_end:
         # how the velocity over ground has changed since the last one is what a clock makes of it
         moved = row[:, _place(channel, SCALED)] - before.row[:, _place(channel, SCALED)]
         row[:, _place(channel, CLOCK)] = -moved / (time_s - before.time_s)
     residual = ground_velocity.components(channel, channel.res[: channel.axes])
+    row[:, _place(channel, CHANGED)] += residual  # as the sensor has it: the state runs away, perhaps
     seen = np.isfinite(residual)
     sd = np.sqrt(np.maximum(ground_velocity.components(channel, np.diag(channel.R)), 1e-300))
     whole = (np.column_stack([row, residual]) / sd[:, None])[seen]
@@ -94,7 +101,7 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
         sums, counts = np.array([np.zeros_like(added), sums[ALL]]), (0, counts[ALL])
     variance = before.variance if counts[RUN] else float(channel.S[: channel.axes].max())
     counts = counts[RUN] + count, counts[ALL] + count
-    return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row)
+    return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row, began_n)
 
 
 def describes(channel: Channel) -> bool:
@@ -153,8 +160,7 @@ def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> 
     # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
     least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S
     told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= least_s
-    turns = told and float(np.linalg.norm(filter.memory.monitor.imu[:3, imu_checks.MEAN])) > settings.TURNING
-    size = force(channel, right and kept.undisputed) if told and not turns else None
+    size = force(channel, right and kept.undisputed) if told else None
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
         kept.evidence = None
@@ -168,18 +174,25 @@ def force(channel: Channel, described: bool) -> float | None:
     """Size of the constant force by which the unit has run away from the velocities refused on end [m/s^2]; None where
     something else explains them as well.
 
-    It began at nothing: a reading before the first that was refused, it had come to what the gate lets by, but for what
-    it grows by from one to the next. A description that
-    is wrong would have shown itself before, in a sensor that was right for long: it counts as `described` rightly.
+    It began at nothing: a reading before the first that was refused, it had come to what the gate lets by. A
+    description that is wrong would have shown itself before, in a sensor that was right for long: it counts as
+    `described` rightly. What is in proportion to the change of the velocity is no force either: a gyro of another scale
+    turns the velocity otherwise, and a sensor that reads another unit from the start shows it when the vehicle turns.
     """
     kept = channel.faults.evidence
     if kept is None:
         return None
     sds = np.repeat([math.sqrt(float(channel.limits[1]) * kept.variance), settings.RAMP_M_S2], 2)
-    ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
-    others = max(0.0, _jump(channel, kept), 0.0 if described else _description(channel, kept).gain)
-    began, size = (float(np.linalg.norm(part)) for part in np.split(ramp.mean, 2))
-    return size if ramp.gain > others + settings.JUMP_ODDS and began <= sds[0] + size * channel.period_s else None
+    own = kept.sums[RUN], kept.counts[RUN]
+    ramp = _regression(*own, _places(channel, CURRENT, RAMP), sds)
+    others = [_jump(channel, kept), _regression(*own, _places(channel, CURRENT, CHANGED), np.append(sds[:2], 1.0)).gain]
+    if not described:
+        wrong = np.concatenate([sds[:2], [1.0], DESCRIBED_SDS])
+        others += [
+            _description(channel, kept).gain,
+            _regression(*own, _places(channel, CURRENT, CHANGED, ARM, CLOCK), wrong).gain,
+        ]
+    return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > max(0.0, *others) + settings.JUMP_ODDS else None
 
 
 def was_right(filter: FilterState, channel: Channel) -> bool:
@@ -197,7 +210,7 @@ def _residual(channel: Channel) -> Array:
     return ground_velocity.components(channel, channel.note[3 : 3 + channel.axes])
 
 
-def _regressors(filter: FilterState, channel: Channel, age_s: float) -> Array:
+def _regressors(filter: FilterState, channel: Channel, age_s: float, began_n: Array) -> Array:
     """What each explanation makes of the reading per unit of its parameters; the clock's is left at 0."""
     memory, near = filter.memory, ground_velocity.components(channel, channel.near)[:, 3:6]
     drv, C = memory.drv, memory.nav[6:15].reshape(3, 3)
@@ -206,8 +219,8 @@ def _regressors(filter: FilterState, channel: Channel, age_s: float) -> Array:
     x, y, z = rate.tolist()
     turning = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     arm = near @ C @ turning
-    flow, speed = near[:, :2], near @ memory.nav[3:6]
-    return np.column_stack([np.eye(len(near)), flow, age_s * flow, speed, arm, np.zeros(len(near))])
+    flow, speed, changed = near[:, :2], near @ memory.nav[3:6], near @ (memory.nav[3:6] - began_n)
+    return np.column_stack([np.eye(len(near)), flow, age_s * flow, speed, arm, np.zeros(len(near)), changed])
 
 
 def _place(channel: Channel, columns: slice) -> int:
@@ -254,8 +267,7 @@ def _jump(channel: Channel, kept: VelocityEvidence) -> float:
 
 def _description(channel: Channel, kept: VelocityEvidence) -> Explanation:
     """A wrong lever arm and clock, by all refused readings; the gain of one of them alone where that is more."""
-    sds = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
-    of = kept.sums[ALL], kept.counts[ALL]
+    of, sds = (kept.sums[ALL], kept.counts[ALL]), DESCRIBED_SDS
     arm, clock = _regression(*of, _places(channel, ARM), sds[:3]), _regression(*of, _places(channel, CLOCK), sds[3:])
     both = _regression(*of, _places(channel, ARM, CLOCK), sds)
     return both._replace(gain=max(arm.gain, clock.gain, both.gain))
