@@ -235,8 +235,6 @@ ROUNDS = 8
 #: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
 #: refused when the vehicle first moves off. (chosen)
 WAY_M = 50.0
-#: A sensor that was not used for long accuses after so long a time [s], longer than readings are late. (measured)
-LONG_S = 10.0
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.

@@ -157,9 +157,7 @@ def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> 
         Of the reading [s].
     """
     kept, right = channel.faults, was_right(filter, channel)
-    # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
-    least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S
-    told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= least_s
+    told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= settings.VELOCITY_SPAN_S
     size = force(channel, right and kept.undisputed) if told else None
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
@@ -185,13 +183,8 @@ def force(channel: Channel, described: bool) -> float | None:
     sds = np.repeat([math.sqrt(float(channel.limits[1]) * kept.variance), settings.RAMP_M_S2], 2)
     own = kept.sums[RUN], kept.counts[RUN]
     ramp = _regression(*own, _places(channel, CURRENT, RAMP), sds)
-    others = [_jump(channel, kept), _regression(*own, _places(channel, CURRENT, CHANGED), np.append(sds[:2], 1.0)).gain]
-    if not described:
-        wrong = np.concatenate([sds[:2], [1.0], DESCRIBED_SDS])
-        others += [
-            _description(channel, kept).gain,
-            _regression(*own, _places(channel, CURRENT, CHANGED, ARM, CLOCK), wrong).gain,
-        ]
+    scaled = _regression(*own, _places(channel, CURRENT, CHANGED), np.append(sds[:2], 1.0))
+    others = _jump(channel, kept), scaled.gain, 0.0 if described else _description(channel, kept).gain
     return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > max(0.0, *others) + settings.JUMP_ODDS else None
 
 
