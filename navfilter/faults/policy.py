@@ -274,7 +274,8 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
             return False
     carried = channel.sensor.observes is not Observable.HEIGHT or depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
-    if wrong == "sensor" and channel.moves and not channel.offset and velocity_evidence.describes(channel):
+    described = not channel.offset and velocity_evidence.describes(channel)
+    if wrong == "sensor" and channel.moves and (described or velocity_evidence.is_the_unit(channel)):
         return False
     if wrong == "sensor" or refused.back >= settings.RUN_LEAST:
         yield from _jumped(filter, channel, time_s)
@@ -412,8 +413,6 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
         only, deviates = channel.sensor.jumps, channel.sensor.observes.north is not None
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
-    elif channel.moves and filter.inertial and time_s - kept.jumped_s < settings.AGAIN_S:
-        yield from _runs_away(filter, channel, time_s)
     else:
         yield Inflate(places, places, size**2)
         kept.refused = None
@@ -445,23 +444,6 @@ def used(filter: FilterState, channel: Channel, time_s: float) -> None:
 
 def _waiting(filter: FilterState) -> list[str]:
     return [change.sensor for change in filter.monitor.changes]
-
-
-def _runs_away(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:
-    """A velocity seems to jump again: the unit runs away from it. Its constants are taken away, and velocity, way since
-    then, tilt and the unit's own errors are opened as far as it is off.
-    """
-    memory, kept = filter.memory, channel.faults
-    span_s, N = max(time_s - kept.jumped_s, channel.period_s), np.nan_to_num(channel.near[:, 3:6])
-    off = np.nan_to_num(channel.res[: channel.axes] + channel.jumped_by(memory.x))
-    V = N.T @ (off[:, None] ** 2 * N)
-    yield Inflate(slice(3, 6), slice(3, 6), V)
-    yield Inflate(slice(3), slice(3), V * span_s**2)
-    yield Inflate(range(6, 8), range(6, 8), float(off @ off) / (span_s * STANDARD_GRAVITY) ** 2)
-    drive = filter.layout.drive
-    yield Inflate(drive.slice, drive.slice, drive.P0)
-    filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
-    kept.refused = kept.aside = None
 
 
 def _follows(channel: Channel, time_s: float) -> None:

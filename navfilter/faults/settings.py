@@ -185,11 +185,6 @@ SENSOR_DISPUTED_S = 3.0
 #: A vehicle that has moved by more than so many standard deviations has moved [1]. (chosen)
 STILL_SDS = 3.0
 
-# -------------------- policy
-#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
-#: (chosen)
-AGAIN_S = 120.0
-
 # -------------------- protection level
 #: Share of the time that the truth may lie beyond a bound without any fault [1]. (chosen)
 RISK = fault_bank.RISK
@@ -235,6 +230,8 @@ ROUNDS = 8
 #: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
 #: refused when the vehicle first moves off. (chosen)
 WAY_M = 50.0
+#: A sensor that was not used for long accuses after so long a time [s], longer than readings are late. (measured)
+LONG_S = 10.0
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.

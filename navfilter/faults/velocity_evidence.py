@@ -25,8 +25,8 @@ from navfilter.kernels import strapdown
 
 Array = NDArray[np.float64]
 #: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock,
-#: and share of the change of the velocity since the run of refusals began.
-CURRENT, RAMP, SCALED, ARM, CLOCK, CHANGED = (slice(a, b) for a, b in ((0, 2), (2, 4), (4, 5), (5, 8), (8, 9), (9, 10)))
+#: and share of how turns have changed the velocity since the run of refusals began.
+CURRENT, RAMP, SCALED, ARM, CLOCK, TURNED = (slice(a, b) for a, b in ((0, 2), (2, 4), (4, 5), (5, 8), (8, 9), (9, 10)))
 RUN, ALL = 0, 1
 DESCRIBED_SDS = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
 
@@ -50,8 +50,8 @@ class VelocityEvidence:
         Of the innovation when the first of these was refused [m^2/s^2].
     row : ndarray, shape (axes, p)
         Regressors of the last one.
-    began_n : ndarray, shape (3,)
-        Velocity in n when the first of these was refused [m/s].
+    turned_n : ndarray, shape (2,)
+        What turns have added to the velocity north and east since then [m/s].
     """
 
     sums: Array
@@ -61,7 +61,7 @@ class VelocityEvidence:
     time_s: float
     variance: float
     row: Array
-    began_n: Array
+    turned_n: Array
 
 
 def with_refused(filter: FilterState, channel: Channel, time_s: float) -> VelocityEvidence:
@@ -79,18 +79,19 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     # one that was let in by what explains it ends no run
     on_end = before is not None and time_s - before.time_s <= 1.5 * channel.period_s
     since_s = before.since_s if before is not None and on_end else since_s
-    began_n = before.began_n if before is not None and before.since_s == since_s else filter.memory.nav[3:6].copy()
-    row = _regressors(filter, channel, time_s - since_s + channel.period_s, began_n)
+    row, turns_n = _regressors(filter, channel, time_s - since_s + channel.period_s)
     if before is None or before.row.shape != row.shape:
         before = VelocityEvidence(
-            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, math.nan, row, began_n
+            np.zeros((2, row.shape[1] + 1, row.shape[1] + 1)), (0, 0), 0.0, since_s, -math.inf, math.nan, row, turns_n
         )
+    turned_n = turns_n * channel.period_s
     if on_end:
+        turned_n = before.turned_n + turns_n * (time_s - before.time_s)
         # how the velocity over ground has changed since the last one is what a clock makes of it
         moved = row[:, _place(channel, SCALED)] - before.row[:, _place(channel, SCALED)]
         row[:, _place(channel, CLOCK)] = -moved / (time_s - before.time_s)
+    row[:, _place(channel, TURNED)] = row[:, _places(channel, CURRENT)] @ turned_n
     residual = ground_velocity.components(channel, channel.res[: channel.axes])
-    row[:, _place(channel, CHANGED)] += residual  # as the sensor has it: the state runs away, perhaps
     seen = np.isfinite(residual)
     sd = np.sqrt(np.maximum(ground_velocity.components(channel, np.diag(channel.R)), 1e-300))
     whole = (np.column_stack([row, residual]) / sd[:, None])[seen]
@@ -101,7 +102,7 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
         sums, counts = np.array([np.zeros_like(added), sums[ALL]]), (0, counts[ALL])
     variance = before.variance if counts[RUN] else float(channel.S[: channel.axes].max())
     counts = counts[RUN] + count, counts[ALL] + count
-    return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row, began_n)
+    return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row, turned_n)
 
 
 def describes(channel: Channel) -> bool:
@@ -111,6 +112,12 @@ def describes(channel: Channel) -> bool:
         kept is not None
         and _description(channel, kept).gain > kept.past + _constants(channel, kept) - settings.JUMP_ODDS
     )
+
+
+def is_the_unit(channel: Channel) -> bool:
+    """Whether the unit rather runs away from the refused velocities than that their sensor has jumped."""
+    kept = channel.faults.evidence
+    return kept is not None and max(one.gain for one in _of_unit(channel, kept)) > _jump(channel, kept)
 
 
 def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
@@ -157,7 +164,9 @@ def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> 
         Of the reading [s].
     """
     kept, right = channel.faults, was_right(filter, channel)
-    told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= settings.VELOCITY_SPAN_S
+    # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
+    least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S
+    told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= least_s
     size = force(channel, right and kept.undisputed) if told else None
     # a velocity through water may change with the water, slowly, too
     if size is not None and float(np.linalg.norm(np.nan_to_num(_residual(channel)))) > channel.sensor.flows_m_s:
@@ -174,17 +183,14 @@ def force(channel: Channel, described: bool) -> float | None:
 
     It began at nothing: a reading before the first that was refused, it had come to what the gate lets by. A
     description that is wrong would have shown itself before, in a sensor that was right for long: it counts as
-    `described` rightly. What is in proportion to the change of the velocity is no force either: a gyro of another scale
-    turns the velocity otherwise, and a sensor that reads another unit from the start shows it when the vehicle turns.
+    `described` rightly. What is in proportion to what turns make of the velocity is no force either: a gyro of
+    another scale turns it otherwise, and a sensor that reads another unit from the start shows that in turns.
     """
     kept = channel.faults.evidence
     if kept is None:
         return None
-    sds = np.repeat([math.sqrt(float(channel.limits[1]) * kept.variance), settings.RAMP_M_S2], 2)
-    own = kept.sums[RUN], kept.counts[RUN]
-    ramp = _regression(*own, _places(channel, CURRENT, RAMP), sds)
-    scaled = _regression(*own, _places(channel, CURRENT, CHANGED), np.append(sds[:2], 1.0))
-    others = _jump(channel, kept), scaled.gain, 0.0 if described else _description(channel, kept).gain
+    ramp, turned = _of_unit(channel, kept)
+    others = _jump(channel, kept), turned.gain, 0.0 if described else _description(channel, kept).gain
     return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > max(0.0, *others) + settings.JUMP_ODDS else None
 
 
@@ -203,8 +209,10 @@ def _residual(channel: Channel) -> Array:
     return ground_velocity.components(channel, channel.note[3 : 3 + channel.axes])
 
 
-def _regressors(filter: FilterState, channel: Channel, age_s: float, began_n: Array) -> Array:
-    """What each explanation makes of the reading per unit of its parameters; the clock's is left at 0."""
+def _regressors(filter: FilterState, channel: Channel, age_s: float) -> tuple[Array, Array]:
+    """What each explanation makes of the reading per unit of its parameters; those of clock and turns are left at 0.
+    And how the turn changes the velocity north and east now [m/s^2].
+    """
     memory, near = filter.memory, ground_velocity.components(channel, channel.near)[:, 3:6]
     drv, C = memory.drv, memory.nav[6:15].reshape(3, 3)
     per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] else 1.0
@@ -212,8 +220,9 @@ def _regressors(filter: FilterState, channel: Channel, age_s: float, began_n: Ar
     x, y, z = rate.tolist()
     turning = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     arm = near @ C @ turning
-    flow, speed, changed = near[:, :2], near @ memory.nav[3:6], near @ (memory.nav[3:6] - began_n)
-    return np.column_stack([np.eye(len(near)), flow, age_s * flow, speed, arm, np.zeros(len(near)), changed])
+    flow, speed, turn = near[:, :2], near @ memory.nav[3:6], float(C[2] @ rate)
+    row = np.column_stack([np.eye(len(near)), flow, age_s * flow, speed, arm, np.zeros((len(near), 2))])
+    return row, turn * np.array([-memory.nav[4], memory.nav[3]])
 
 
 def _place(channel: Channel, columns: slice) -> int:
@@ -246,6 +255,14 @@ def _constants(channel: Channel, kept: VelocityEvidence) -> float:
     sds = np.repeat([settings.OFF_M_S, settings.RAMP_M_S2], 2)
     ramp = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT, RAMP), sds)
     return max(ramp.gain, _jump(channel, kept))
+
+
+def _of_unit(channel: Channel, kept: VelocityEvidence) -> tuple[Explanation, Explanation]:
+    """A force that it feels wrongly, and a gyro of another scale; both begin within what the gate lets by."""
+    sds = np.repeat([math.sqrt(float(channel.limits[1]) * kept.variance), settings.RAMP_M_S2], 2)
+    own = kept.sums[RUN], kept.counts[RUN]
+    ramp = _regression(*own, _places(channel, CURRENT, RAMP), sds)
+    return ramp, _regression(*own, _places(channel, CURRENT, TURNED), np.append(sds[:2], 1.0))
 
 
 def _jump(channel: Channel, kept: VelocityEvidence) -> float:
