@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from types import SimpleNamespace
 
 import faults_run as watched
 import numpy as np
@@ -356,6 +357,13 @@ def test_a_constant_is_dropped_where_its_density_at_none_has_grown():
             known = norm(size, share * before.std())
             memory.x[place - 9], memory.P[place, place] = size, known.var()
             assert sensor_bias.is_none(depth, memory.x, memory.P) == (known.pdf(0.0) > before.pdf(0.0))
+
+
+@pytest.mark.parametrize(("size", "dropped"), [(0.0, True), (1.0, False)])
+def test_constants_are_dropped_where_each_of_them_alone_is_rather_none(size, dropped):
+    """One is known to be none, which would do for two; of the other hardly anything is known yet, but that it is."""
+    channel = SimpleNamespace(group=SimpleNamespace(start=9, P0=np.eye(2)), offsets=np.arange(2))
+    assert sensor_bias.is_none(channel, np.array([0.0, size]), np.diag([0.0] * 9 + [1e-4, 0.9])) == dropped
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from test_fault_bank import SHIFT_S, long_dive
 import navfilter as nf
 from navfilter.evaluation.diagnostics import doubts
 from navfilter.evaluation.fix_reacquisition import evidence
-from navfilter.faults.velocity_evidence import _regression
+from navfilter.faults.velocity_evidence import ALL, VelocityEvidence, _jump, _of_unit, _regression
+from navfilter.foundation.chi_square import chi_square_limit
 
 COLUMNS = 5
 SDS = np.array([0.5, 2.0])
@@ -52,6 +54,29 @@ def test_noise_is_explained_by_nothing():
         gains.append(_regression(sums_of(X, r), 20, [1, 3], SDS).gain)
     assert np.mean(np.exp(gains)) < 1.5  # a Bayes factor of true noise has a mean of one; its scale is fitted here
     assert _regression(np.zeros((COLUMNS + 1, COLUMNS + 1)), 0, [1, 3], SDS).gain == 0.0
+
+
+@pytest.mark.parametrize("cause", ["jump", "force", "gyro"])
+def test_a_turn_tells_a_jump_from_a_force_and_from_a_gyro_of_another_scale(cause):
+    """A velocity in b, four a second, in a turn of 6 deg/s: what is off is a constant in b, grows in n, or goes with
+    how far the vehicle has turned.
+    """
+    rng, period_s, speed, rate = np.random.default_rng(5), 0.25, 1.5, 0.1
+    sums, turned = np.zeros((14, 14)), np.zeros(2)
+    for k in range(1, 21):
+        c, s = math.cos(rate * k * period_s), math.sin(rate * k * period_s)
+        flow = np.array([[c, s], [-s, c], [0.0, 0.0]])
+        turned += rate * period_s * speed * np.array([-s, c])
+        row = np.column_stack(
+            [np.eye(3), flow, k * period_s * flow, flow @ [speed * c, speed * s], np.zeros((3, 4)), flow @ turned]
+        )
+        size = {"jump": (1, 0.15), "force": (6, 0.06), "gyro": (12, -0.5)}[cause]
+        sums += sums_of(row / 0.02, row[:, size[0]] * size[1] / 0.02 + rng.normal(size=3))
+    kept = VelocityEvidence(np.array([sums] * (ALL + 1)), (60, 60), 0.0, 0.0, 5.0, 4e-4, row, turned)
+    channel = SimpleNamespace(ground=3, limits=chi_square_limit(0.999, np.arange(4)))
+    force, gyro = _of_unit(channel, kept)
+    gains = {"jump": _jump(channel, kept), "force": force.gain, "gyro": gyro.gain}
+    assert max(gains, key=gains.get) == cause
 
 
 def rms(vehicle, mission):

@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 #: and share of how turns have changed the velocity since the run of refusals began.
 CURRENT, RAMP, SCALED, ARM, CLOCK, TURNED = (slice(a, b) for a, b in ((0, 2), (2, 4), (4, 5), (5, 8), (8, 9), (9, 10)))
 RUN, ALL = 0, 1
-DESCRIBED_SDS = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +113,10 @@ def describes(channel: Channel) -> bool:
     )
 
 
-def is_the_unit(channel: Channel) -> bool:
-    """Whether the unit rather runs away from the refused velocities than that their sensor has jumped."""
-    kept = channel.faults.evidence
-    return kept is not None and max(one.gain for one in _of_unit(channel, kept)) > _jump(channel, kept)
+def is_the_unit(filter: FilterState, channel: Channel) -> bool:
+    """Whether the unit rather runs away from refused velocities that were right for long than that they have jumped."""
+    kept, right = channel.faults.evidence, was_right(filter, channel) and channel.faults.undisputed
+    return kept is not None and right and max(one.gain for one in _of_unit(channel, kept)) > _jump(channel, kept)
 
 
 def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
@@ -181,17 +180,19 @@ def force(channel: Channel, described: bool) -> float | None:
     """Size of the constant force by which the unit has run away from the velocities refused on end [m/s^2]; None where
     something else explains them as well.
 
-    It began at nothing: a reading before the first that was refused, it had come to what the gate lets by. A
-    description that is wrong would have shown itself before, in a sensor that was right for long: it counts as
-    `described` rightly. What is in proportion to what turns make of the velocity is no force either: a gyro of
-    another scale turns it otherwise, and a sensor that reads another unit from the start shows that in turns.
+    It began at nothing: a reading before the first that was refused, it had come to what the gate lets by, but for what
+    it grows by from one to the next. A description that is wrong would have shown itself before, in a sensor that was
+    right for long: it counts as `described` rightly. What is in proportion to what turns make of the velocity is no
+    force either: a gyro of another scale turns it otherwise, and a sensor that reads another unit from the start.
     """
     kept = channel.faults.evidence
     if kept is None:
         return None
     ramp, turned = _of_unit(channel, kept)
     others = _jump(channel, kept), turned.gain, 0.0 if described else _description(channel, kept).gain
-    return float(np.linalg.norm(ramp.mean[2:])) if ramp.gain > max(0.0, *others) + settings.JUMP_ODDS else None
+    began, size = (float(np.linalg.norm(part)) for part in np.split(ramp.mean, 2))
+    nothing = began <= math.sqrt(float(channel.limits[1]) * kept.variance) + size * channel.period_s
+    return size if nothing and ramp.gain > max(0.0, *others) + settings.JUMP_ODDS else None
 
 
 def was_right(filter: FilterState, channel: Channel) -> bool:
@@ -277,7 +278,8 @@ def _jump(channel: Channel, kept: VelocityEvidence) -> float:
 
 def _description(channel: Channel, kept: VelocityEvidence) -> Explanation:
     """A wrong lever arm and clock, by all refused readings; the gain of one of them alone where that is more."""
-    of, sds = (kept.sums[ALL], kept.counts[ALL]), DESCRIBED_SDS
+    sds = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
+    of = kept.sums[ALL], kept.counts[ALL]
     arm, clock = _regression(*of, _places(channel, ARM), sds[:3]), _regression(*of, _places(channel, CLOCK), sds[3:])
     both = _regression(*of, _places(channel, ARM, CLOCK), sds)
     return both._replace(gain=max(arm.gain, clock.gain, both.gain))

@@ -35,7 +35,7 @@ from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 25
+FORMAT = 26
 #: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.
 LARGEST = 256 << 20
 
