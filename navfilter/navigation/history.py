@@ -63,6 +63,12 @@ class History:
         self.inputs: list[tuple[Array | Measurement, float]] = []
         self._first = 0  # number of the first of these
         self.marked_s = -math.inf
+        self._forgotten: Any = None
+
+    @property
+    def due_s(self) -> float:
+        """From when on `ready` has something to do before a reading [s]."""
+        return self.marked_s + (self.SPACING_S if self._forgotten is None else 0.5 * self.SPACING_S)
 
     def change_places(self, other: History) -> None:
         """Have the past of another run over the same inputs, and that this one's."""
@@ -85,6 +91,8 @@ class History:
         """Before an input: keep a checkpoint where one is due."""
         if now - self.marked_s >= spacing_s:
             self._mark(now)
+        else:
+            self._forgotten = None
 
     def _mark(self, now: float) -> None:
         """Keep a checkpoint of the present, and forget what lies too far back."""
@@ -94,9 +102,10 @@ class History:
         while old + 1 < len(self._marks) and self._marks[old + 1][0] <= now - self.length_s:
             old += 1
         if old:
-            del self._marks[:old]
-            number = self._marks[0][1]
-            del self.inputs[: number - self._first]
+            number = self._marks[old][1]
+            # kept until a later input: to free all of it takes half as long as the copy
+            self._forgotten = self._marks[:old], self.inputs[: number - self._first]
+            del self._marks[:old], self.inputs[: number - self._first]
             self._first = number
 
     def correct_late(self, reading: Measurement) -> Outcome | None:

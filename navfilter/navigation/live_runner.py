@@ -280,7 +280,7 @@ class MeasurementFastPath:
             early_s = learning.early_s
         elif not busy:  # one after the other
             history.ready(self._memory.time_s)
-        self._due_s = min(looks_s, early_s, history.marked_s + history.SPACING_S)
+        self._due_s = min(looks_s, early_s, history.due_s)
         return False
 
     def exchange(self, other: MeasurementFastPath) -> None:
