@@ -59,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{where}{error.strerror or error}.", WRONG)
     except (ValueError, LookupError, MemoryError) as error:
         text = str(error.args[0]) if error.args else type(error).__name__
+        text += f" [{error.code}]" if hasattr(error, "code") else ""
         return _fail(text, getattr(error, "exit_code", WRONG))
 
 

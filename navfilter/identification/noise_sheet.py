@@ -65,6 +65,8 @@ FASTEST_S = 100.0
 class NotAtRest(ValueError):
     """No part of a record is at rest for long enough."""
 
+    code = "not-at-rest"
+
 
 @dataclass(frozen=True, eq=False)
 class AxisSheet:

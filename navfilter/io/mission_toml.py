@@ -52,7 +52,7 @@ class RunsError(MissionError):
     mission, and not with how the command was used.
     """
 
-    exit_code = 1
+    code, exit_code = "runs", 1
 
 
 def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES) -> Mission:

@@ -56,6 +56,8 @@ _ADOPTED: dict[str, Any] = {
 class VehicleError(ValueError):
     """A vehicle.toml cannot be read; lists every mistake with its place, its value and a cure."""
 
+    code = "vehicle"
+
 
 def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     """Read the description of a vehicle.

@@ -38,6 +38,9 @@ PIECE = 1 << 16
 class MissionError(ValueError):
     """A mission cannot be read: which file, what is wrong with it and what to do, in one line."""
 
+    #: In one word that stays when sentences change, see `mistakes.md`.
+    code = "mission"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stream(Value):

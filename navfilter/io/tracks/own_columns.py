@@ -21,6 +21,8 @@ _BREAKS = {"tab": "\t", "blank": " "}
 class FormatError(ValueError):
     """A format file cannot be read, or asks for what there is not."""
 
+    code = "format"
+
 
 class Column(Strict):
     """One column.
