@@ -29,7 +29,8 @@ from navfilter.check.course_fit import (
     without_gaps,
 )
 from navfilter.check.finding import Finding
-from navfilter.check.series import factors, heading_of, integral, middle, unwrapped, vector, window_edges
+from navfilter.check.magnetic_north import place_of
+from navfilter.check.series import factors, heading_of, integral, unwrapped, vector, window_edges
 from navfilter.foundation.arrays import Array, Complex, Mask
 from navfilter.models.error_models import stated_variance
 from navfilter.models.magnetic import believable, declination
@@ -147,13 +148,10 @@ def _stretch_findings(name: str, heading: str, paths: Paths, sure: bool) -> Iter
 
 def _declination(mission: Mission) -> float | None:
     """Where magnetic north is [deg]; None without a date or a place."""
-    places = [s for s in (*mission.streams.values(), mission.truth) if s is not None and "latitude_rad" in s.columns]
-    if mission.date is None or not places:
+    place = place_of(mission)
+    if mission.date is None or place is None:
         return None
-    latitude, longitude = (math.degrees(middle(places[0].column(f"{a}_rad"))) for a in ("latitude", "longitude"))
-    if not abs(latitude) <= 90.0:
-        return None
-    return math.degrees(declination(latitude, longitude, 0.0, believable(mission.date)))
+    return math.degrees(declination(*place, 0.0, believable(mission.date)))
 
 
 def part_of(vehicle: Vehicle, stream: str) -> Any:
@@ -381,8 +379,7 @@ def _fit(
         stamps = paths.time_s[near]
         at = stamps - late_s - rate * (stamps - middle)
         turn = np.exp(1j * np.interp(stamps if whole else at, *paths.heading))
-        pairs = (paths.body[near] * turn).view(float).reshape(-1, 2)
-        path = integral(stamps if whole else at, pairs) @ np.array([1.0, 1j])
+        path = integral(stamps if whole else at, paths.body[near] * turn)
         return displacement(of.edges, of.length_s, at, path), displacement(of.edges, of.length_s, at, turn)
 
     def left(of: _Windows, late_s: float, rate: float) -> tuple[complex, Complex]:

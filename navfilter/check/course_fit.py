@@ -76,7 +76,7 @@ class Paths:
         middle = 0.5 * float(self.edges[0] + self.edges[-1])
         at = self.time_s - late_s - rate * (self.time_s - middle)
         turned = body * np.exp(1j * heading_sign * np.interp(at, *self.heading))
-        return self.moved(at, integral(at, turned.view(float).reshape(-1, 2)) @ np.array([1.0, 1j]))
+        return self.moved(at, integral(at, turned))
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def axes_of_the_earth(paths: Paths) -> str:
     """Which of the Earth's axes those of a velocity are, that follows the positions without being turned; or none."""
     wanted, found = paths.moved(paths.places.time_s, paths.places.plane), []
     for name, velocity in (("north, east", paths.body), ("east, north", 1j * paths.body.conjugate())):
-        way = integral(paths.time_s, velocity.view(float).reshape(-1, 2)) @ np.array([1.0, 1j])
+        way = integral(paths.time_s, velocity)
         left, ratio = share(paths.moved(paths.time_s, way), wanted)
         found.append((left, name if ratio.real > abs(ratio.imag) else ""))
     left, name = min(found)

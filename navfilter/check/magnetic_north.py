@@ -30,7 +30,7 @@ def north_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
     vehicle : Vehicle, optional
         Says which headings are magnetic; without one those of a field are.
     """
-    compasses, place = _compasses(mission, vehicle), _place(mission)
+    compasses, place = _compasses(mission, vehicle), place_of(mission)
     dated = mission.date is not None or getattr(mission.start, "date", None) is not None
     for name, sensor in compasses.items():
         if sensor is not None and sensor.declination_rad is None and not (dated and place is not None):
@@ -52,7 +52,7 @@ def north_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
         yield _finding(name, sensor, there, by_km)
 
 
-def _place(mission: Mission) -> tuple[float, float] | None:
+def place_of(mission: Mission) -> tuple[float, float] | None:
     """Latitude and longitude where the mission begins, or of a fix in its middle [deg]."""
     if mission.start is not None:
         return mission.start.latitude_deg, mission.start.longitude_deg

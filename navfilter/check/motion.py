@@ -13,6 +13,7 @@ from navfilter.check.clock_offsets import far_finding, late_by
 from navfilter.check.course import course_findings
 from navfilter.check.course_fit import EARTH_RADIUS_M, POLAR
 from navfilter.check.finding import Finding
+from navfilter.check.magnetic_north import place_of
 from navfilter.check.series import (
     MOST_WINDOWS,
     correlation,
@@ -266,11 +267,9 @@ def _field(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
         text = f"the strength of the field varies by {100 * scatter / mean:.0f} %: iron on board."
         cure = "Calibrate (hard_iron, soft_iron), or give the compass deviation states."
         yield Finding("warning", "iron", name, text, cure)
-    place = next((s for s in (mission.truth, *mission.streams.values()) if s and "latitude_rad" in s.columns), None)
-    if place is not None and np.isfinite(place.column("latitude_rad")).any():
-        latitude = float(np.nanmedian(place.column("latitude_rad")))
-        down = float(np.nanmean(field[:, 2]))
-        if abs(latitude) > math.radians(15.0) and down * latitude < 0.0 and abs(down) > 0.2 * mean:
+    if (place := place_of(mission)) is not None:
+        latitude, down = place[0], float(np.nanmean(field[:, 2]))
+        if abs(latitude) > 15.0 and down * latitude < 0.0 and abs(down) > 0.2 * mean:
             text = "the field points up in the northern half of the Earth (or down in the southern)."
             yield Finding("error", "sign", name, text, "Its z axis is not down: check the axes.")
 

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.mission import Stream
+
+Number = TypeVar("Number", np.float64, np.complex128)
 
 
 def vector(stream: Stream, first: str) -> Array:
@@ -28,16 +33,14 @@ def window_edges(begin_s: float, end_s: float, step_s: float) -> Array:
     return np.arange(begin_s, end_s, max(step_s, (end_s - begin_s) / MOST_WINDOWS))
 
 
-def integral(time_s: Array, value: Array) -> Array:
+def integral(time_s: Array, value: NDArray[Number]) -> NDArray[Number]:
     """Running trapezoidal integral along the first axis; a missing value counts as the last known one."""
-    filled = np.array(value, dtype=float)
+    filled = np.array(value)
     flat = filled.reshape(len(filled), -1)
     for k in range(flat.shape[1]):
         known = np.isfinite(flat[:, k])
         flat[:, k] = np.interp(time_s, time_s[known], flat[known, k]) if known.any() else 0.0
-    step = np.diff(time_s).reshape(-1, *([1] * (filled.ndim - 1)))
-    parts = 0.5 * (filled[1:] + filled[:-1]) * step
-    return np.concatenate([np.zeros_like(filled[:1]), np.cumsum(parts, axis=0)])
+    return cumulative_trapezoid(filled, time_s, axis=0, initial=0)
 
 
 def correlation(a: Array, b: Array) -> tuple[float, float]:

@@ -206,7 +206,7 @@ class _Motion(NamedTuple):
         turn = np.interp(self.time_s, self.imu.time_s, self._turn())
         rate = np.gradient(turn, self.time_s)
         body: Complex = self.body - 1j * rate * self.arm_m
-        return body + _integral(self.time_s, 1j * rate * body)
+        return body + integral(self.time_s, 1j * rate * body)
 
     def felt(self) -> tuple[Complex, ...]:
         """By the accelerometers as read; with y of the whole unit the other way round; with that of forces alone."""
@@ -215,12 +215,12 @@ class _Motion(NamedTuple):
         heading = np.exp(1j * self._turn())
         # in a turn a vehicle banks, and gravity is felt sideways: roll + i pitch by the gyros, whose drift is slow
         tilts = [
-            _integral(at, (p + 1j * q) * heading) / heading
+            integral(at, (p + 1j * q) * heading) / heading
             for p, q in ((rates[:, 0], rates[:, 1] * y) for y in (1.0, -1.0))
         ]
         pulls = [1j * GRAVITY * tilt for tilt in tilts]
         read, mirrored, forced = forces + pulls[0], forces.conjugate() + pulls[1], forces.conjugate() + pulls[0]
-        return tuple(_integral(at, force) for force in (read, mirrored, forced))
+        return tuple(integral(at, force) for force in (read, mirrored, forced))
 
     def _turn(self) -> Array:
         return integral(self.imu.time_s, vector(self.imu, "rate_x_rad_s")[:, 2])
@@ -239,11 +239,6 @@ def _motion(imu: Stream, stream: Stream, mounting: Array, arm_m: complex) -> _Mo
     known[1:] &= np.diff(stream.time_s) > 0.0
     times, v = stream.time_s[known], v[known]
     return _Motion(imu, times, np.asarray(v[:, :2] @ [1.0, 1j]), arm_m) if times.size >= 100 else None
-
-
-def _integral(times: Array, series: Complex) -> Complex:
-    pairs = np.ascontiguousarray(series, dtype=complex).view(float).reshape(-1, 2)
-    return np.asarray(integral(times, pairs) @ [1.0, 1j])
 
 
 def _fit(moved: Complex, force: Complex) -> _Turned:
