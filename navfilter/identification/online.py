@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -228,11 +229,8 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
         columns |= {f"{name}_{i + 1}": value[:, i] for i in range(value.shape[1])}
     columns |= {"sd": tracks.sd, "pole_radius": tracks.pole, "zero_radius": tracks.zero, "walk_sd": tracks.walk_sd}
     columns["is_white"] = tracks.is_white
-    rows = [",".join(columns)] + [
-        ",".join("" if value != value else f"{value:.9g}" for value in row)
-        for row in zip(*columns.values(), strict=True)
-    ]
-    (folder / "tracks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    table = pd.DataFrame(columns).astype({"is_white": int})
+    table.to_csv(folder / "tracks.csv", index=False, float_format="%.9g", lineterminator="\n")
     data, model = tracks.data, tracks.model
     result = {
         "name": data.name,

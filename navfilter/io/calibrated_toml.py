@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ def write_calibrated(
             text = with_keys(text, part, _keys(new, old), remark)
         return text
 
-    return write_edited(vehicle, path, source, edit, partial(_alike, vehicle))
+    return write_edited(vehicle, path, source, edit, _alike)
 
 
 def _parts(vehicle: Vehicle, before: Vehicle) -> list[tuple[tuple[str, ...], Any, Any]]:

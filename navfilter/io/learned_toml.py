@@ -46,12 +46,8 @@ def write_learned(
     written anew.
     """
     edit = partial(_edited, vehicle=vehicle, remarks=remarks or {})
-    write_edited(vehicle, path, source, edit, partial(_same, vehicle))
+    write_edited(vehicle, path, source, edit)
     return Path(path)
-
-
-def _same(vehicle: Vehicle, back: Vehicle) -> bool:
-    return back.driving == vehicle.driving and all(back.sensors.get(name) == s for name, s in vehicle.sensors.items())
 
 
 def _edited(text: str, vehicle: Vehicle, remarks: Mapping[str, str]) -> str:

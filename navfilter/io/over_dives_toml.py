@@ -66,10 +66,7 @@ def write_over_dives(
                 text = with_keys(text, part, {key: (key, value)}, remark)
         return f"{text.rstrip()}\n\n{_learnt_text(table)}"
 
-    def same(back: Vehicle) -> bool:
-        return back.driving == vehicle.driving and dict(back.sensors) == dict(vehicle.sensors)
-
-    copied = write_edited(vehicle, path, source, edit, same)
+    copied = write_edited(vehicle, path, source, edit)
     if not copied:
         with Path(path).open("a", encoding="utf-8") as file:
             file.write(f"\n{_learnt_text(table)}")

@@ -24,7 +24,7 @@ def write_edited(
     path: str | os.PathLike[str],
     source: str | os.PathLike[str] | None,
     edit: Callable[[str], str],
-    same: Callable[[Vehicle], bool],
+    same: Callable[[Vehicle, Vehicle], bool] | None = None,
 ) -> bool:
     """Write a vehicle as an edited copy of the file that it was read from.
 
@@ -36,8 +36,8 @@ def write_edited(
         The vehicle.toml, or the folder that holds it; None: all is written anew.
     edit : callable
         Takes its text, returns the copy's; raises one of `UNCLEAR` where it cannot.
-    same : callable
-        Whether a vehicle that was read back is this one.
+    same : callable, optional
+        Whether this vehicle is the one that was read back; default: as a value.
 
     Returns
     -------
@@ -48,12 +48,17 @@ def write_edited(
         try:
             text = edit(vehicle_file(source).read_text(encoding="utf-8"))
             Path(path).write_text(text, encoding="utf-8")
-            if same(read_vehicle(path)):
+            if (same or _same)(vehicle, read_vehicle(path)):
                 return True
         except UNCLEAR:
             pass
     write_vehicle(vehicle, path)
     return False
+
+
+def _same(vehicle: Vehicle, back: Vehicle) -> bool:
+    """Whether all that a vehicle has was read back; a file may hold further sensors."""
+    return back.driving == vehicle.driving and all(back.sensors.get(name) == s for name, s in vehicle.sensors.items())
 
 
 def with_keys(text: str, part: tuple[str, ...], keys: Mapping[str, tuple[str, str]], remark: str = "") -> str:
