@@ -15,10 +15,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
+from navfilter.foundation.arrays import Array, Ints
 
 #: Bytes of memory that are asked for at a time: sixteen huge pages, which a system clears ten times as quickly as as
 #: much memory in small ones.
@@ -107,12 +105,12 @@ class RecordStore:
         assert chunk is not None
         return chunk[self._end - (size if held else 0) :], held
 
-    def took(self, sizes: NDArray[np.int64]) -> None:
+    def took(self, sizes: Ints) -> None:
         """Vectors of these sizes have been written one behind the other at the beginning of what is free."""
         self._sizes.frombytes(sizes.astype(np.intc).tobytes())
         self._end += int(sizes.sum())
 
-    def extend(self, flat: Array, sizes: NDArray[np.int64]) -> None:
+    def extend(self, flat: Array, sizes: Ints) -> None:
         """Append vectors of these sizes that stand one behind the other in `flat`."""
         ends = np.cumsum(sizes)
         done = 0
@@ -194,7 +192,7 @@ class RecordStore:
         begin = self._end - size if last else sum(self._sizes[self._firsts[number] : index])
         return self._chunk(number)[begin : begin + size]
 
-    def run(self, first: int, last: int) -> tuple[Array, NDArray[np.int64]]:
+    def run(self, first: int, last: int) -> tuple[Array, Ints]:
         """Vectors before the one of number `last`, back to number `first` or as far as they stand in one piece: the
         array in which they stand, and where each of them begins.
         """
@@ -205,7 +203,7 @@ class RecordStore:
         sizes = np.array(self._sizes[begin:last], np.int64)
         return self._chunk(number), (np.cumsum(sizes) - sizes)[max(first - begin, 0) :]
 
-    def pieces(self, count: int) -> Iterator[tuple[Array, NDArray[np.int64]]]:
+    def pieces(self, count: int) -> Iterator[tuple[Array, Ints]]:
         """The first so many vectors, as `extend` takes them."""
         for number, (first, end) in enumerate(itertools.pairwise([*self._firsts, len(self)])):
             sizes = np.array(self._sizes[first : min(end, count)], np.int64)

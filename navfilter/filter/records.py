@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.record_store import RecordStore
+from navfilter.foundation.arrays import Array, Ints, Mask
 from navfilter.foundation.display import Shown, Value, often, span
-
-Array = NDArray[np.float64]
 
 #: What can become of a reading, in the order of the codes in `Residuals.outcome`.
 OUTCOMES = ("used", "rejected", "invalid", "duplicate", "too-late", "ahead", "unknown-sensor")
@@ -27,7 +26,7 @@ CHANGE = -1
 
 
 @functools.cache
-def triangle(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def triangle(n: int) -> tuple[Ints, Ints]:
     """Rows and columns of the lower triangle of a matrix of n rows, row by row, as a row of the tape has them."""
     return np.tril_indices(n)
 
@@ -65,7 +64,7 @@ class Residuals(Value):
         return int(np.count_nonzero(self.outcome == OUTCOMES.index(outcome)))
 
     @property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Mask:
         """Mask of the readings that corrected the state."""
         return self.outcome == 0
 
@@ -222,7 +221,7 @@ class Tape(Shown):
         self.layouts: list[Any] = [layout]
         self.axes: list[tuple[float, str, str]] = []  # changes of the drive's axes: time, axis, condition
 
-    def record(self, record: Array, axes: int, dims: NDArray[np.int64]) -> None:
+    def record(self, record: Array, axes: int, dims: Ints) -> None:
         """Write one record: compound transition, block tick, and what the correction was (see
         ``kalman.smooth_record``).
         """
@@ -304,7 +303,7 @@ class Tape(Shown):
     def _row_size(self, n: int) -> int:
         return 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
 
-    def extend(self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int) -> None:
+    def extend(self, given: tuple[Array, Array, Array, Ints], count: int, records: int) -> None:
         """As many calls of `record` and `row`, in this order of time, by what `run_batch` has written.
 
         Parameters

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, field_validator, model_validator
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Mask
 from navfilter.io.validation import Strict
 from navfilter.models.mission import MissionError
 
@@ -123,9 +123,6 @@ def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) ->
     return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-Bool = npt.NDArray[np.bool_]
-
-
 class Where(Strict):
     """One condition on one column; exactly one of the four keys beside `column`.
 
@@ -153,7 +150,7 @@ class Where(Strict):
             raise ValueError("give equals, at_least, at_most or known")
         return self
 
-    def rows(self, table: Table) -> Bool:
+    def rows(self, table: Table) -> Mask:
         """Mask of the rows of a table that fulfil the condition, shape (n,)."""
         keep = np.ones(table.raw(self.column).shape[0], dtype=bool)
         if self.equals is not None:
@@ -177,7 +174,7 @@ class Where(Strict):
         given += [] if self.known is None else ["known" if self.known else "unknown"]
         return f"{self.column} {' and '.join(given)}"
 
-    def _is(self, table: Table, choice: str | bool | float) -> Bool:
+    def _is(self, table: Table, choice: str | bool | float) -> Mask:
         if isinstance(choice, str):
             return np.array([str(cell).strip() == choice for cell in table.raw(self.column)], dtype=bool)
         raw = table.raw(self.column)
@@ -185,7 +182,7 @@ class Where(Strict):
             return np.array([str(cell).strip().lower() == str(choice).lower() for cell in raw], dtype=bool)
         return table.numbers(self.column)[0] == float(choice)
 
-    def _known(self, table: Table) -> Bool:
+    def _known(self, table: Table) -> Mask:
         raw = table.raw(self.column)
         if raw.dtype.kind in "fiub":
             return np.isfinite(raw.astype(np.float64))

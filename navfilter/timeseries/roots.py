@@ -10,10 +10,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, Complex
 from navfilter.kernels import arma_fit as kernels
-
-Complex = NDArray[np.complex128]
 
 #: Imaginary parts below this are rounding: the root is real.
 REAL = 1e-9
