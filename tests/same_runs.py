@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from state_differences import differences
 
-from navfilter.foundation.state_values import differences
 from navfilter.navigation.navigator import Navigator
 
 

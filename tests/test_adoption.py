@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.filter.model_change import state_change, transfer
 from navfilter.filter.records import Tape
 from navfilter.filter.state_layout import Layout
-from navfilter.foundation.state_values import differences
 from navfilter.models.learned_arma import (
     LearnedArma,
     known_walk,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from feeding import once_a_second
 from scipy.stats import norm
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.faults import policy, sensor_bias
 from navfilter.faults.sensor_bias import RejectionRun
-from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch
 from navfilter.models.fault_bias import (
     FaultBias,

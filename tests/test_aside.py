@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from state_differences import differences
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter.faults import velocity_fault
 from navfilter.faults.velocity_fault import VelocityFault
-from navfilter.foundation.state_values import differences
 from navfilter.models.fault_bias import has_offset
 from navfilter.navigation import runner
 

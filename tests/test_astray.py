@@ -6,12 +6,12 @@ import faults_run as watched
 import numpy as np
 import pytest
 from feeding import events_of, one_by_one
+from state_differences import differences
 from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.faults.heading_fault import TrackRotationFit, led_astray, told_by_fixes
-from navfilter.foundation.state_values import differences
 from navfilter.models.fault_bias import has_offset
 from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, simulate_scenario, survey_vehicle
 from navfilter.simulation.simulate import simulate

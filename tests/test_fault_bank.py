@@ -8,12 +8,12 @@ import naive
 import numpy as np
 import pytest
 from kernel_inputs import assert_close, random_nav, run_both, spd
+from state_differences import differences
 from test_agreement import altered, feed, fly
 
 import navfilter as nf
 from navfilter.faults import fault_bank
 from navfilter.filter.model_change import Change
-from navfilter.foundation.state_values import differences
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
 from navfilter.models.during import During

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import same_runs
 from feeding import Event, delayed, events_of, one_by_one
+from state_differences import differences
 
 import navfilter as nf
-from navfilter.foundation.state_values import differences
 from navfilter.kernels import fault_bank
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation.early_rerun import ShadowRun

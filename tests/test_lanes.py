@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.faults import settings as fault_settings
 from navfilter.faults.lane_selection import FULL, LaneChoice
-from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.io.json_lines import LineParser
 from navfilter.models.mission import Stream

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 import same_runs
 from feeding import DRIVE, Event, events_of, in_blocks, one_by_one
+from state_differences import differences
 
 import navfilter as nf
-from navfilter.foundation.state_values import differences
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import tactical_imu

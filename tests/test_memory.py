@@ -8,9 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from state_differences import differences
 
 import navfilter as nf
-from navfilter.foundation.state_values import copied, differences, from_arrays, misfit, to_arrays
+from navfilter.foundation.state_values import copied, from_arrays, misfit, to_arrays
 from navfilter.models.error_models import ErrorModel
 
 

@@ -8,11 +8,11 @@ import pytest
 from feeding import events_of
 from feeding import one_by_one as feed_one_by_one
 from kernel_inputs import assert_close, run_both
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.filter.record_store import RecordStore
 from navfilter.filter.records import Tape
-from navfilter.foundation.state_values import differences
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import measurement
 from navfilter.kernels.compiling.addresses import named

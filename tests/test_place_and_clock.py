@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from delayed_look import Sight, by_drive
 from kernel_inputs import assert_close, random_nav, run_both
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.filter.events import Measurement
-from navfilter.foundation.state_values import differences
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
 from navfilter.kernels.consistency import WINDOW_S

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from feeding import events_of, fed
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.evaluation.baselines import learnable, rivals
 from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.montecarlo.campaign import Campaign
-from navfilter.foundation.state_values import differences
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.learned_arma import learned_part
 from navfilter.simulation.campaigns import stage

@@ -7,13 +7,14 @@ import naive
 import numpy as np
 import pytest
 from kernel_inputs import assert_close, random_nav, run_both, spd
+from state_differences import differences
 from test_agreement import FAULT_S, altered, dive, feed, fly
 
 import navfilter as nf
 from navfilter.faults import noise_scale as scatter
 from navfilter.faults import sensor_bias
 from navfilter.faults.noise_scale import NoiseScale
-from navfilter.foundation.state_values import copied, differences
+from navfilter.foundation.state_values import copied
 from navfilter.kernels import noise_scale
 from navfilter.models.fault_bias import with_offsets
 from navfilter.navigation import runner

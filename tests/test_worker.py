@@ -12,10 +12,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import pytest
 from feeding import DRIVE, events_of, fed
+from state_differences import differences
 
 import navfilter as nf
 from navfilter.filter import filter as filter_module
-from navfilter.foundation.state_values import differences
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation import early_rerun
