@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
 from operator import attrgetter, itemgetter
 from typing import Any
 
@@ -39,7 +40,7 @@ class TopicColumns:
         self._numbers = array("d")
         self._texts: dict[str, list[str]] = {}
         self._names: list[str] = []
-        self._get: Callable[[Any], Sequence[Any]] | None = None
+        self._fetches: list[Callable[[Any], Any]] | None = None
         self._doubtful: list[str] = []
         self.fields: tuple[str, ...] = ()
         self.unreadable = 0
@@ -52,10 +53,10 @@ class TopicColumns:
         if isinstance(time_s, np.ndarray):
             self._put_block(time_s, record)
             return
-        if self._get is None:
+        if self._fetches is None:
             self._begin(record)
         try:
-            row = array("d", self._get(record))  # type: ignore[misc]
+            row = array("d", [fetch(record) for fetch in self._fetches])  # type: ignore[union-attr]
         except (TypeError, AttributeError, KeyError, IndexError):
             row = array("d", [self._number(record, name) for name in self._names])
         self._times.append(time_s)
@@ -104,8 +105,8 @@ class TopicColumns:
                 self._names += [f"{name}.sec", f"{name}.nanosec"]
             else:
                 self._names.append(name)
-        self._names = _together(list(dict.fromkeys(self._names)))
-        self._get = _getter(record, self._names)
+        self._names = list(dict.fromkeys(self._names))
+        self._fetches = [_fetch(record, name) for name in self._names]
 
     def _number(self, record: Any, name: str) -> float:
         found = _field(record, name)
@@ -147,61 +148,17 @@ def _elements(name: str, value: Any) -> Iterator[str]:
             yield from _elements(f"{name}[{k}]", element)
 
 
-def _together(names: list[str]) -> list[str]:
-    """The names with the elements of each list side by side and in order, as `_getter` fetches them."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        groups.setdefault(name.split("[", 1)[0], []).append(name)
-    ordered = []
-    for group in groups.values():
-        plain = all(
-            name.endswith("]") and name.count("[") == 1 and name.split("[")[1][:-1].isdecimal() for name in group
-        )
-        ordered += sorted(group, key=lambda name: int(name.split("[")[1][:-1])) if plain else group
-    return ordered
-
-
-def _getter(record: Any, names: list[str]) -> Callable[[Any], Sequence[Any]]:
-    """The fastest way to all fields at once that the kind of record allows; raises where a record lacks one."""
-    if not names:
-        return lambda found: ()
+def _fetch(record: Any, name: str) -> Callable[[Any], Any]:
+    """A quick way to a field that the record has; raises where another one lacks it."""
     if isinstance(record, Mapping):
-        if not all(name in record for name in names):
-            return lambda found: [_field(found, name) for name in names]
-        pick = itemgetter(*names)
-        return pick if len(names) > 1 else lambda found: (pick(found),)
-    # Elements of one list stand together: it is fetched once.
-    bases: dict[str, list[int] | None] = {}
-    for name in names:
-        base, _, place = name.removesuffix("]").partition("[")
-        if place and not place.isdecimal():
-            return lambda found: [_field(found, one) for one in names]
-        if place:
-            bases.setdefault(base, [])
-        places = bases.setdefault(base, None)
-        if place and places is not None:
-            places.append(int(place))
-    fetch = attrgetter(*bases) if len(bases) > 1 else _alone(attrgetter(next(iter(bases))))
-    plan = list(bases.values())
-    if not any(plan):
-        return fetch
-    return lambda found: _spread(fetch(found), plan)
-
-
-def _alone(fetch: Callable[[Any], Any]) -> Callable[[Any], tuple[Any]]:
-    return lambda found: (fetch(found),)
-
-
-def _spread(values: Sequence[Any], plan: list[list[int] | None]) -> list[Any]:
-    row: list[Any] = []
-    for value, places in zip(values, plan, strict=True):
-        if places is None:
-            row.append(value)
-        elif len(places) == len(value):
-            row.extend(value)
-        else:
-            row.extend([value[place] for place in places])
-    return row
+        return itemgetter(name) if name in record else partial(_field, name=name)
+    base, _, place = name.removesuffix("]").partition("[")
+    if not place:
+        return attrgetter(name)
+    if not place.isdecimal():
+        return partial(_field, name=name)
+    whole, at = attrgetter(base), int(place)
+    return lambda found: whole(found)[at]
 
 
 def _field(record: Any, name: str) -> Any:
