@@ -4,7 +4,7 @@ Each seed is one simulated mission. It is replayed with the model that learns (`
 vehicle that is told the sensor's true error model), Gauss-Markov fitted to the whole mission beforehand
 (`gm1-fitted`) and the vehicle file as it stands (`vehicle`). Slots are 60 to 120, 120 to 520, 520 to 1200 and 1200 to
 1800 s, cut where the mission ends; the time after a change of the error is a slot of its own. The forward track is
-scored as first given out. "met" counts the bars of `navfilter.evaluation.montecarlo.slot_tables` that hold, "missed"
+scored as first given out. "met" counts the bars of `honest_bars.py` that hold, "missed"
 names the others.
 
 With --keep finished runs stay in a folder, and the same command continues there. With --references the runs of all
@@ -24,10 +24,11 @@ from typing import Any
 
 import numpy as np
 from harness import Options, Table, flag, main, quick
+from honest_bars import JUDGED, Bar, bars
 
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign
-from navfilter.evaluation.montecarlo.slot_tables import JUDGED, Bar, SlotRow, bars, slot_rows
+from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows
 from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.workers import process_pool
 from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES

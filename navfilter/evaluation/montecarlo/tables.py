@@ -1,6 +1,4 @@
-"""What a campaign says: figures with intervals over its runs, ratios between models, as text, CSV, JSON, npz and
-parquet.
-"""
+"""What a campaign says: figures with intervals over its runs, ratios between models, as text, CSV, JSON and npz."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ import pandas as pd
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.slot_tables import JUDGED, Bar, SlotRow, bar_table, bars, slot_rows, slot_table
+from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES
 from navfilter.evaluation.montecarlo.statistics import estimate, interval_text, ratio_interval
 from navfilter.evaluation.montecarlo.store import write_whole
@@ -103,16 +101,7 @@ def table(results: Results) -> str:
     apart = slot_rows(results)
     if apart:
         parts.append(slot_table(results, apart))
-    if apart and JUDGED in results.models:
-        parts.append(_bar_block(results, bars(campaign, apart)))
     return "\n\n".join(parts)
-
-
-def _bar_block(results: Results, found: list[Bar]) -> str:
-    needed = ("oracle", "gm1-fitted", "vehicle") if results.campaign.staged.oracle else ("gm1-fitted",)
-    without = [name for name in needed if name not in results.models]
-    text = bar_table(found, results.tracks) if found else "no bars"
-    return text + (f"\nbars that need {', '.join(without)} are left out: run them too" if without else "")
 
 
 def _block(
@@ -140,9 +129,7 @@ def _cell(row: SlotRow | None, form: str) -> str:
 
 
 def write_tables(results: Results, folder: Path) -> list[str]:
-    """Write table.txt, results.csv, slots.csv, results.json, runs.npz, and runs.parquet where pyarrow is installed;
-    returns the names.
-    """
+    """Write table.txt, results.csv, slots.csv, results.json and runs.npz; returns the names."""
     names = ("model", "track", "quantity", "reference", "value", "low", "high", "runs")
     each, apart = map(_dict, (*rows(results), *ratios(results))), slot_rows(results)
     found = [{name: row[name] for name in names} for row in each]
@@ -152,15 +139,13 @@ def write_tables(results: Results, folder: Path) -> list[str]:
         "seeds": results.seeds.tolist(),
         "results": found,
         "slots": [_dict(row) for row in apart],
-        "bars": [_dict(bar) | {"met": bar.met} for bar in bars(results.campaign, apart)],
     }
     write_whole(folder / "table.txt", (table(results) + "\n").encode())
     write_whole(folder / "results.csv", _csv(found, names))
     write_whole(folder / "slots.csv", _csv(content["slots"], [field.name for field in fields(SlotRow)]))
     write_whole(folder / "results.json", (json.dumps(content, indent=1) + "\n").encode())
     write_whole(folder / "runs.npz", _npz(results))
-    written = ["table.txt", "results.csv", "slots.csv", "results.json", "runs.npz"]
-    return [*written, *_parquet(results, folder / "runs.parquet")]
+    return ["table.txt", "results.csv", "slots.csv", "results.json", "runs.npz"]
 
 
 def _dict(row: SlotRow) -> dict[str, Any]:
@@ -190,20 +175,3 @@ def _npz(results: Results) -> bytes:
         cpu_s=results.cpu_s,
     )
     return buffer.getvalue()
-
-
-def _parquet(results: Results, path: Path) -> list[str]:
-    """One row per run, model and track."""
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError:
-        return []
-    frames = [
-        pd.DataFrame(results.scores[m, t], columns=list(SCORES)).assign(model=model, track=track, seed=results.seeds)
-        for m, model in enumerate(results.models)
-        for t, track in enumerate(results.tracks)
-    ]
-    buffer = io.BytesIO()
-    pd.concat(frames, ignore_index=True)[["model", "track", "seed", *SCORES]].to_parquet(buffer, index=False)
-    write_whole(path, buffer.getvalue())
-    return [path.name]
