@@ -14,11 +14,9 @@ from navfilter.timeseries.diagnostics import whiteness
 from navfilter.track.track import Track, TrackErrors
 
 TRACKS = ("forward", "smoothed")
-#: Of each track, over the scored part; `_first` over the part before it. What belongs to the run stands with its
-#: forward track.
+#: Of each track, over the scored part. What belongs to the run stands with its forward track.
 SCORES = (
     "heading_rms_deg", "position_rms_m", "end_m", "end_pct", "anees_position", "anees_heading",
-    "heading_rms_deg_first", "position_rms_m_first", "anees_position_first", "anees_heading_first",
     "nis_sensor", "nis_all", "white", "ljung_box", "rejected_pct", "adopted", "adoptions",
 )  # fmt: skip
 #: Over time: errors [m, deg], their predicted standard deviations, NEES per degree of freedom.
@@ -74,18 +72,8 @@ def run_record(track: Track, mission: Mission, sensor: str, score_from_s: float,
 def _track_figures(
     track: Track, mission: Mission, errors: TrackErrors, nees: dict[str, Array], score_from_s: float, times: Array
 ) -> tuple[dict[str, float], Array]:
-    series = {
-        "heading_rms_deg": np.degrees(errors.heading) ** 2,
-        "position_rms_m": errors.horizontal**2,
-        "anees_position": nees["position"],
-        "anees_heading": nees["heading"],
-    }
-    scored = track.time_s >= score_from_s
-    figures = {}
-    for name, values in series.items():
-        for key, rows in ((name, scored), (f"{name}_first", ~scored)):
-            mean = _mean(values[rows])
-            figures[key] = math.sqrt(mean) if "_rms_" in name else mean
+    scored = slot_figures(track, errors, nees, ((score_from_s, math.inf),))[0]
+    figures = dict(zip(SLOT_SCORES, scored.tolist(), strict=True))
     begin, end = _dive(mission)
     row = _rows(track, np.array([end]))[0]
     figures["end_m"] = float(errors.horizontal[row])
@@ -165,8 +153,3 @@ def _way(mission: Mission, begin_s: float, end_s: float) -> float:
 def _rows(track: Track, times: Array) -> Ints:
     """The last row of the track before each of these times (the first row for times before it)."""
     return np.maximum(np.searchsorted(track.time_s, times - 1e-6, side="right") - 1, 0)
-
-
-def _mean(values: Array) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else math.nan

@@ -79,8 +79,8 @@ def slot_rows(results: Results) -> list[SlotRow]:
     for m, model in enumerate(results.models):
         for t, track in enumerate(results.tracks):
             for s, (begin, end) in enumerate(cut):
-                for quantity, reference, found_as, runs in _figures(results.models, values[:, t, :, s], m):
-                    found.append(SlotRow(model, track, begin, end, quantity, reference, *found_as, runs=runs))
+                for figure in figures(results.models, values[:, t, :, s], m, SLOT_SCORES, _RATIOS):
+                    found.append(SlotRow(model, track, begin, end, *figure))
     return found
 
 
@@ -98,17 +98,36 @@ def _with_all(results: Results) -> tuple[Slots, Array]:
     return (*cut, (cut[0][0], cut[-1][1])), np.concatenate([values, together[..., None, :]], axis=-2)
 
 
-def _figures(models: tuple[str, ...], values: Array, m: int) -> Iterator[tuple[str, str, Estimate, int]]:
-    """Of one model in one slot: quantity, reference, estimate and runs; values (models, runs, figures)."""
-    for q, quantity in enumerate(SLOT_SCORES):
+def figures(
+    models: tuple[str, ...], values: Array, m: int, names: tuple[str, ...], ratios: dict[str, tuple[str, ...]]
+) -> Iterator[tuple[str, str, float, float, float, int]]:
+    """Figures of one model over its runs, and their ratios to those of the references on the same missions.
+
+    Parameters
+    ----------
+    models : tuple of str
+    values : ndarray, shape (models, runs, figures)
+    m : int
+        Which model.
+    names : tuple of str
+        Of the figures.
+    ratios : dict of str to tuple of str
+        By reference: what is divided by its own.
+
+    Yields
+    ------
+    quantity, reference, value, low, high, runs
+        As in `SlotRow`.
+    """
+    for q, quantity in enumerate(names):
         own = values[m, :, q]
         if not np.isfinite(own).any():
             continue
-        yield quantity, "", estimate(quantity, own), int(np.isfinite(own).sum())
-        for reference, compared in _RATIOS.items():
+        yield quantity, "", *estimate(quantity, own), int(np.isfinite(own).sum())
+        for reference, compared in ratios.items():
             if quantity in compared and reference in models and reference != models[m]:
                 other = values[models.index(reference), :, q]
-                yield quantity, reference, _ratio(quantity, own, other), int(np.isfinite(own + other).sum())
+                yield quantity, reference, *_ratio(quantity, own, other), int(np.isfinite(own + other).sum())
 
 
 def _ratio(quantity: str, values: Array, others: Array) -> Estimate:

@@ -15,18 +15,18 @@ import pandas as pd
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
+from navfilter.evaluation.montecarlo.slot_tables import SlotRow, figures, slot_rows, slot_table
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES
-from navfilter.evaluation.montecarlo.statistics import estimate, interval_text, ratio_interval
+from navfilter.evaluation.montecarlo.statistics import interval_text
 from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.foundation.quoting import json_value
 from navfilter.rendering.page import table_text
 
-#: No slot.
-_WHOLE = (math.nan, math.nan)
-#: Models that the others are divided by.
-REFERENCES = ("gm1-fitted", "oracle")
-_RATIOS = ("heading_rms_deg", "position_rms_m")
+#: By reference, track, quantity and model.
+_Found = dict[tuple[str, str, str, str], SlotRow]
+#: What is divided by that of other models, and by which.
+_DIVIDED = ("heading_rms_deg", "position_rms_m")
+REFERENCES: dict[str, tuple[str, ...]] = {"gm1-fitted": _DIVIDED, "oracle": _DIVIDED}
 _MAIN = {
     "heading_rms_deg": ("heading rms [deg]", ".4f"),
     "position_rms_m": ("position rms [m]", ".2f"),
@@ -34,9 +34,6 @@ _MAIN = {
     "end_pct": ("[% of way]", ".3f"),
     "anees_position": ("ANEES position", ".2f"),
     "anees_heading": ("ANEES heading", ".2f"),
-}
-_FIRST = {
-    f"{key}_first": _MAIN[key] for key in ("heading_rms_deg", "position_rms_m", "anees_position", "anees_heading")
 }
 _INNOVATIONS = {
     "nis_sensor": ("NIS", ".3f"),
@@ -50,38 +47,18 @@ _INNOVATIONS = {
 
 
 def rows(results: Results) -> list[SlotRow]:
-    """All figures of all models and tracks."""
-    found = []
-    for m, model in enumerate(results.models):
-        for t, track in enumerate(results.tracks):
-            for q, quantity in enumerate(SCORES):
-                values = results.scores[m, t, :, q]
-                n = int(np.isfinite(values).sum())
-                if n:
-                    found.append(SlotRow(model, track, *_WHOLE, quantity, "", *estimate(quantity, values), runs=n))
-    return found
-
-
-def ratios(results: Results) -> list[SlotRow]:
-    """Root mean squares of the models, divided by those of the references on the same missions."""
-    found = []
-    for reference in REFERENCES:
-        if reference not in results.models:
-            continue
-        r = results.models.index(reference)
-        for m, model in enumerate(results.models):
-            for t, track in enumerate(results.tracks):
-                for quantity in _RATIOS if m != r else ():
-                    q = SCORES.index(quantity)
-                    pair = results.scores[m, t, :, q], results.scores[r, t, :, q]
-                    n = int((np.isfinite(pair[0]) & np.isfinite(pair[1])).sum())
-                    found.append(SlotRow(model, track, *_WHOLE, quantity, reference, *ratio_interval(*pair), runs=n))
-    return found
+    """All figures of all models and tracks, and their ratios to those of the references."""
+    return [
+        SlotRow(model, track, math.nan, math.nan, *figure)
+        for m, model in enumerate(results.models)
+        for t, track in enumerate(results.tracks)
+        for figure in figures(results.models, results.scores[:, t], m, SCORES, REFERENCES)
+    ]
 
 
 def table(results: Results) -> str:
     """Everything that is worth reading on a terminal."""
-    campaign, found = results.campaign, {(r.model, r.track, r.quantity): r for r in rows(results)}
+    campaign, found = results.campaign, {(r.reference, r.track, r.quantity, r.model): r for r in rows(results)}
     study, learnt = campaign.staged.study, campaign.staged.learnt
     begin, end = float(campaign.score_from_s or 0.0), float(campaign.duration_s or 0.0)
     parts = [
@@ -92,35 +69,29 @@ def table(results: Results) -> str:
     for track in results.tracks:
         parts.append(f"{track}\n{_block(results.models, track, _MAIN, found)}")
     parts.append(f"innovations of {learnt}, forward\n{_block(results.models, 'forward', _INNOVATIONS, found)}")
-    if begin > 0.0:
-        for track in results.tracks:
-            parts.append(f"before {begin:g} s (not scored), {track}\n{_block(results.models, track, _FIRST, found)}")
-    compared = ratios(results)
-    for reference in dict.fromkeys(row.reference for row in compared):
-        parts.append(f"divided by {reference} on the same missions\n{_ratio_block(results, compared, reference)}")
+    for reference in REFERENCES:
+        others = [model for model in results.models if model != reference]
+        if others and reference in results.models:
+            ratios = _ratio_block(others, reference, results.tracks, found)
+            parts.append(f"divided by {reference} on the same missions\n{ratios}")
     apart = slot_rows(results)
     if apart:
         parts.append(slot_table(results, apart))
     return "\n\n".join(parts)
 
 
-def _block(
-    models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: dict[tuple[str, str, str], SlotRow]
-) -> str:
+def _block(models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: _Found) -> str:
     lines = [
-        [model, *(_cell(found.get((model, track, key)), form) for key, (_, form) in columns.items())]
+        [model, *(_cell(found.get(("", track, key, model)), form) for key, (_, form) in columns.items())]
         for model in models
     ]
     return table_text(["model", *(title for title, _ in columns.values())], lines)
 
 
-def _ratio_block(results: Results, compared: list[SlotRow], reference: str) -> str:
-    found = {(r.model, r.track, r.quantity): r for r in compared if r.reference == reference}
-    keys = [(quantity, track) for quantity in _RATIOS for track in results.tracks]
-    header = ["model", *(f"{quantity.split('_')[0]} rms, {track}" for quantity, track in keys)]
-    lines = [
-        [m, *(_cell(found.get((m, track, q)), ".3f") for q, track in keys)] for m in results.models if m != reference
-    ]
+def _ratio_block(models: Iterable[str], reference: str, tracks: Iterable[str], found: _Found) -> str:
+    keys = [(track, quantity) for quantity in _DIVIDED for track in tracks]
+    header = ["model", *(f"{quantity.split('_')[0]} rms, {track}" for track, quantity in keys)]
+    lines = [[model, *(_cell(found.get((reference, *key, model)), ".3f") for key in keys)] for model in models]
     return table_text(header, lines)
 
 
@@ -131,14 +102,13 @@ def _cell(row: SlotRow | None, form: str) -> str:
 def write_tables(results: Results, folder: Path) -> list[str]:
     """Write table.txt, results.csv, slots.csv, results.json and runs.npz; returns the names."""
     names = ("model", "track", "quantity", "reference", "value", "low", "high", "runs")
-    each, apart = map(_dict, (*rows(results), *ratios(results))), slot_rows(results)
-    found = [{name: row[name] for name in names} for row in each]
+    found = [{name: row[name] for name in names} for row in map(_dict, rows(results))]
     content = {
         "campaign": results.campaign.settings,
         "models": list(results.models),
         "seeds": results.seeds.tolist(),
         "results": found,
-        "slots": [_dict(row) for row in apart],
+        "slots": [_dict(row) for row in slot_rows(results)],
     }
     write_whole(folder / "table.txt", (table(results) + "\n").encode())
     write_whole(folder / "results.csv", _csv(found, names))
