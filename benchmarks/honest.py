@@ -28,8 +28,8 @@ from honest_bars import JUDGED, Bar, bars
 
 import navfilter as nf
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign
-from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows
 from navfilter.evaluation.montecarlo.store import Store
+from navfilter.evaluation.montecarlo.tables import SlotRow, slot_rows
 from navfilter.evaluation.montecarlo.workers import process_pool
 from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES
 
