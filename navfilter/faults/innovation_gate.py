@@ -215,9 +215,3 @@ def whole_residual(channel: Channel, x: Array) -> Array:
     residual = channel.res + channel.C @ x[first : first + channel.group.errors]
     residual[~channel.H.any(axis=1)] = np.nan
     return np.asarray(residual)
-
-
-def whole_heading(channel: Channel, x: Array) -> float:
-    """Of a compass that component of `whole_residual` which is a heading [rad]."""
-    assert channel.sensor.observes.north is not None
-    return float(whole_residual(channel, x)[channel.sensor.observes.north])
