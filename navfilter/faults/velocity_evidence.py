@@ -104,19 +104,16 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row, turned_n)
 
 
-def describes(channel: Channel) -> bool:
-    """Whether a description that is wrong explains the refused velocities rather than constants of the sensor."""
-    kept = channel.faults.evidence
-    return (
-        kept is not None
-        and _description(channel, kept).gain > kept.past + _constants(channel, kept) - settings.JUMP_ODDS
-    )
-
-
-def is_the_unit(filter: FilterState, channel: Channel) -> bool:
-    """Whether the unit rather runs away from refused velocities that were right for long than that they have jumped."""
+def has_not_jumped(filter: FilterState, channel: Channel) -> bool:
+    """Whether something else explains the refused velocities rather than constants of the sensor: that it is described
+    wrongly, or, of one that was right for long, that the unit runs away from it.
+    """
     kept, right = channel.faults.evidence, was_right(filter, channel) and channel.faults.undisputed
-    return kept is not None and right and max(one.gain for one in _of_unit(channel, kept)) > _jump(channel, kept)
+    if kept is None:
+        return False
+    constants = kept.past + _constants(channel, kept) - settings.JUMP_ODDS
+    described = not channel.offset and _description(channel, kept).gain > constants
+    return described or (right and max(one.gain for one in _of_unit(channel, kept)) > _jump(channel, kept))
 
 
 def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
