@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
     written to --out:
       table.txt, results.csv, results.json   figures with 95 % intervals, and ratios with paired intervals; the same by
-                                             slots of the mission (slots.csv), and the bars that arma has to keep to
+                                             slots of the mission (slots.csv)
       runs.npz                               every run
       envelope-*.png, nees.png, end-error.png
       runs/                                  finished runs: the same command continues a campaign that was stopped

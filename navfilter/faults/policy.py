@@ -274,7 +274,7 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
             return False
     carried = channel.sensor.observes is not Observable.HEIGHT or depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
-    if wrong == "sensor" and channel.moves and velocity_evidence.has_not_jumped(filter, channel):
+    if wrong == "sensor" and channel.moves and velocity_evidence.has_not_jumped(channel):
         return False
     if wrong == "sensor" or refused.back >= settings.RUN_LEAST:
         yield from _jumped(filter, channel, time_s)

@@ -104,16 +104,18 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     return VelocityEvidence(sums + added, counts, past, since_s, time_s, variance, row, turned_n)
 
 
-def has_not_jumped(filter: FilterState, channel: Channel) -> bool:
+def has_not_jumped(channel: Channel) -> bool:
     """Whether something else explains the refused velocities rather than constants of the sensor: that it is described
-    wrongly, or, of one that was right for long, that the unit runs away from it.
+    wrongly, or that the unit runs away from it, by more than what the gate lets by before they begin.
     """
-    kept, right = channel.faults.evidence, was_right(filter, channel) and channel.faults.undisputed
+    kept = channel.faults.evidence
     if kept is None:
         return False
     constants = kept.past + _constants(channel, kept) - settings.JUMP_ODDS
     described = not channel.offset and _description(channel, kept).gain > constants
-    return described or (right and max(one.gain for one in _of_unit(channel, kept)) > _jump(channel, kept))
+    began = _regression(kept.sums[RUN], kept.counts[RUN], _places(channel, CURRENT), _began(channel, kept))
+    jumped = max(began.gain, _jump(channel, kept)) + settings.JUMP_ODDS
+    return described or max(one.gain for one in _of_unit(channel, kept)) > jumped
 
 
 def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
@@ -188,7 +190,7 @@ def force(channel: Channel, described: bool) -> float | None:
     ramp, turned = _of_unit(channel, kept)
     others = _jump(channel, kept), turned.gain, 0.0 if described else _description(channel, kept).gain
     began, size = (float(np.linalg.norm(part)) for part in np.split(ramp.mean, 2))
-    nothing = began <= math.sqrt(float(channel.limits[1]) * kept.variance) + size * channel.period_s
+    nothing = began <= float(_began(channel, kept)[0]) + size * channel.period_s
     return size if nothing and ramp.gain > max(0.0, *others) + settings.JUMP_ODDS else None
 
 
@@ -257,10 +259,15 @@ def _constants(channel: Channel, kept: VelocityEvidence) -> float:
 
 def _of_unit(channel: Channel, kept: VelocityEvidence) -> tuple[Explanation, Explanation]:
     """A force that it feels wrongly, and a gyro of another scale; both begin within what the gate lets by."""
-    sds = np.repeat([math.sqrt(float(channel.limits[1]) * kept.variance), settings.RAMP_M_S2], 2)
+    sds = np.append(_began(channel, kept), [settings.RAMP_M_S2] * 2)
     own = kept.sums[RUN], kept.counts[RUN]
     ramp = _regression(*own, _places(channel, CURRENT, RAMP), sds)
     return ramp, _regression(*own, _places(channel, CURRENT, TURNED), np.append(sds[:2], 1.0))
+
+
+def _began(channel: Channel, kept: VelocityEvidence) -> Array:
+    """What the gate lets by before the first reading that it refuses, north and east [m/s]."""
+    return np.full(2, math.sqrt(float(channel.limits[1]) * kept.variance))
 
 
 def _jump(channel: Channel, kept: VelocityEvidence) -> float:
