@@ -2116,7 +2116,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if spot[34]:
         before = mem[places_[7] - a : places_[7]]
         band = velocity_band(P, near, 0, start + errors, np.diag(bench[lever:][: a * a].reshape(a, a)).max())
-        fault_states(bench[spot[34] :], z, nav, x, start, spot[31], C, near, res, before, band)
+        fault_states(bench[spot[34] :], z, nav, x, bench[rate : rate + 3], start, spot[31], C, near, res, before, band)
     believed = bench[limits + a + 1 : limits + 2 * a + 1]
     squares = (C @ x[start - 9 : start - 9 + errors]) ** 2
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
@@ -2125,17 +2125,21 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
-def fault_states(table, z, nav, x, start, north, C, near, res, held, band):
-    scaled, deviating, flowing = table[:3].astype(int)
-    for state, at_m_s, axes in table[3:][: 3 * scaled].reshape(-1, 3):
+def fault_states(table, z, nav, x, rate, start, north, C, near, res, held, band):
+    scaled, deviating, flowing, turning = table[:4].astype(int)
+    table = table[4:]
+    for state, at_m_s, axes in table[: 3 * scaled].reshape(-1, 3):
         state, axes = int(state), int(axes)
         held[:axes] = held_slope(np.nan_to_num(z[:axes] - res[:axes]), held[:axes], band)
         C[:axes, state] = held[:axes] / at_m_s
         near[:axes, :9] *= 1.0 + x[start - 9 + state] / at_m_s
-    for state, of_rad in table[3 + 3 * scaled :][: 2 * deviating].reshape(-1, 2):
+    for state, of_rad in table[3 * scaled :][: 2 * deviating].reshape(-1, 2):
         C[north, int(state)] = np.cos(np.arctan2(nav[9], nav[6]) - of_rad)
-    for state, component, axes in table[3 + 3 * scaled + 2 * deviating :][: 3 * flowing].reshape(-1, 3).astype(int):
+    for state, component, axes in table[3 * scaled + 2 * deviating :][: 3 * flowing].reshape(-1, 3).astype(int):
         C[:axes, state] = -near[:axes, 3 + component]
+    arms = table[3 * scaled + 2 * deviating + 3 * flowing :][: 3 * turning].reshape(-1, 3).astype(int)
+    for state, component, axes in arms:
+        C[:axes, state] = near[:axes, 3:6] @ nav[6:15].reshape(3, 3) @ np.cross(rate, np.eye(3)[component])
     if north >= 0:
         error = C[north] @ x[start - 9 :][: C.shape[1]]
         res[north] = _half_turn(res[north] - error) + error

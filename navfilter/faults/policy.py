@@ -36,7 +36,7 @@ from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
-from navfilter.models.fault_bias import with_offsets
+from navfilter.models.fault_bias import has_arm, with_arm, with_offsets
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -120,8 +120,12 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
         return None
     places, covariance, white = covered
     channel.R += white
-    if covariance.size:
-        yield Inflate(places, places, covariance)
+    if velocity_evidence.is_arm(channel) and not has_arm(channel.sensor.models):
+        opened = with_arm(channel.sensor.models, settings.ARM_M)
+        filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
+        kept.evidence = None
+    elif covariance.size:
+        yield Inflate(places[:, None], places, covariance)
         kept.evidence = None  # what it told is the states' now
     yield Count("arm-or-clock")
     refused = kept.refused

@@ -22,6 +22,7 @@ from navfilter.faults import ground_velocity, settings
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import strapdown
+from navfilter.models.fault_bias import arms
 
 Array = NDArray[np.float64]
 #: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock,
@@ -118,13 +119,13 @@ def has_not_jumped(channel: Channel) -> bool:
     return described or max(one.gain for one in _of_unit(channel, kept)) > jumped
 
 
-def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
+def covered(channel: Channel) -> tuple[Array, Array, Array] | None:
     """What a wrong description that explains the refused velocities adds to let the last of them in; None where it does
     not explain them, or not this one.
 
     Returns
     -------
-    places : slice
+    places : ndarray
         Of its lever arm and clock in the error state, as far as they are states.
     covariance : ndarray
         For these.
@@ -145,9 +146,16 @@ def covered(channel: Channel) -> tuple[slice, Array, Array] | None:
         return None
     sensor, end = channel.sensor, channel.group.start + channel.group.size
     arm, clock = any(sensor.lever_arm_sd_m), sensor.time_offset_sd_s > 0.0
-    known = np.array([arm] * 3 + [clock])
-    places = slice(end - int(known.sum()), end)
+    found = [channel.group.start + at for at, _ in arms(sensor.models, channel.period_s)]
+    known = np.array([arm or bool(found)] * 3 + [clock])
+    places = np.array([*found, *range(end - 3 * arm - clock, end)])
     return places, E[np.ix_(known, known)], off[:, ~known] @ E[np.ix_(~known, ~known)] @ off[:, ~known].T
+
+
+def is_arm(channel: Channel) -> bool:
+    """Whether it is a lever arm that explains them, of which the description says that it is known."""
+    kept = channel.faults.evidence
+    return _arm(channel, kept).gain >= _clock(channel, kept).gain and not any(channel.sensor.lever_arm_sd_m)
 
 
 def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> float | None:
@@ -283,10 +291,16 @@ def _jump(channel: Channel, kept: VelocityEvidence) -> float:
 def _description(channel: Channel, kept: VelocityEvidence) -> Explanation:
     """A wrong lever arm and clock, by all refused readings; the gain of one of them alone where that is more."""
     sds = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
-    of = kept.sums[ALL], kept.counts[ALL]
-    arm, clock = _regression(*of, _places(channel, ARM), sds[:3]), _regression(*of, _places(channel, CLOCK), sds[3:])
-    both = _regression(*of, _places(channel, ARM, CLOCK), sds)
-    return both._replace(gain=max(arm.gain, clock.gain, both.gain))
+    both = _regression(kept.sums[ALL], kept.counts[ALL], _places(channel, ARM, CLOCK), sds)
+    return both._replace(gain=max(_arm(channel, kept).gain, _clock(channel, kept).gain, both.gain))
+
+
+def _arm(channel: Channel, kept: VelocityEvidence) -> Explanation:
+    return _regression(kept.sums[ALL], kept.counts[ALL], _places(channel, ARM), np.full(3, settings.ARM_M))
+
+
+def _clock(channel: Channel, kept: VelocityEvidence) -> Explanation:
+    return _regression(kept.sums[ALL], kept.counts[ALL], _places(channel, CLOCK), np.array([settings.LATE_S]))
 
 
 def _regression(sums: Array, count: int, places: list[int], sds: Array) -> Explanation:

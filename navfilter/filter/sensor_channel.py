@@ -16,6 +16,7 @@ from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.arrays import Array, Ints
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, consistency, kalman
+from navfilter.models.fault_bias import has_arm
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
@@ -175,12 +176,14 @@ class Channel:
             self.noted[-batch.NOTED : -1] = before[-batch.NOTED : -1]
         self.memory = Times.from_buffer(self.noted[-batch.NOTED :].data)
         starts = begin, ends[0], self.constants.size, *ends[1:9]
+        arm = has_arm(self.sensor.models)
         is_so, partly = (
-            (self.moves, self.turns, (self.sensor.observes is Observable.RATE)),
+            (self.moves, self.turns or arm, (self.sensor.observes is Observable.RATE)),
             self.partly_for_s < math.inf,
         )
         north = -1 if self.sensor.observes.north is None else self.sensor.observes.north
-        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False, ends[9] if self.offset else 0, 0, 0
+        faults = ends[9] if self.offset or arm else 0
+        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False, faults, 0, 0
         self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 

@@ -175,21 +175,21 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def fault_states(table, z, nav, x, start, north, C, near, res, held, band):
-    """Let errors in proportion to the speed, those that go with the heading, and the motion of what a velocity is read
-    against be those of a reading as foretold.
+def fault_states(table, z, nav, x, rate, start, north, C, near, res, held, band):
+    """Let errors in proportion to the speed, those that go with the heading, the motion of what a velocity is read
+    against, and what a lever arm adds be those of a reading as foretold.
 
     table: how many of each there are; then, of each error in proportion, its state, the speed at which it is the
     error, and of how many axes; of each deviation its state and the heading at which it is the error; and of each
-    motion its state, its component in n, and how many axes read it. held (a,): the velocity by which an error in
-    proportion was told last; it goes on within a band (`consistency.held_slope`). The residual of a heading comes
-    within half a turn of its error.
+    motion, and of each component of a lever arm, its state, its component, and how many axes read it. rate (3,):
+    angular, in b. held (a,): the velocity by which an error in proportion was told last; it goes on within a band
+    (`consistency.held_slope`). The residual of a heading comes within half a turn of its error.
     """
-    scaled, deviating, flowing = int(table[0]), int(table[1]), int(table[2])
+    scaled, deviating, flowing, turning = int(table[0]), int(table[1]), int(table[2]), int(table[3])
     for j in range(scaled):
-        state, at_m_s = int(table[3 + 3 * j]), table[4 + 3 * j]
+        state, at_m_s = int(table[4 + 3 * j]), table[5 + 3 * j]
         factor = 1.0 + x[start - 9 + state] / at_m_s
-        for axis in range(int(table[5 + 3 * j])):
+        for axis in range(int(table[6 + 3 * j])):
             predicted = z[axis] - res[axis]
             held[axis] = consistency.held_slope(0.0 if math.isnan(predicted) else predicted, held[axis], band)
             C[axis, state] = held[axis] / at_m_s
@@ -197,13 +197,20 @@ def fault_states(table, z, nav, x, start, north, C, near, res, held, band):
                 near[axis, i] *= factor
     for j in range(deviating):
         # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
-        state, of_rad = int(table[3 + 3 * scaled + 2 * j]), table[4 + 3 * scaled + 2 * j]
+        state, of_rad = int(table[4 + 3 * scaled + 2 * j]), table[5 + 3 * scaled + 2 * j]
         C[north, state] = math.cos(math.atan2(nav[9], nav[6]) - of_rad)
     for j in range(flowing):
-        at = 3 + 3 * scaled + 2 * deviating + 3 * j
+        at = 4 + 3 * scaled + 2 * deviating + 3 * j
         state, component = int(table[at]), int(table[at + 1])
         for i in range(int(table[at + 2])):
             C[i, state] = -near[i, 3 + component]
+    for j in range(turning):
+        at = 4 + 3 * scaled + 2 * deviating + 3 * flowing + 3 * j
+        state, one, two = int(table[at]), (int(table[at + 1]) + 1) % 3, (int(table[at + 1]) + 2) % 3
+        for i in range(int(table[at + 2])):
+            C[i, state] = 0.0
+            for k in range(3):
+                C[i, state] += near[i, 3 + k] * (nav[6 + 3 * k + one] * rate[two] - nav[6 + 3 * k + two] * rate[one])
     if north >= 0:
         error = 0.0
         for j in range(C.shape[1]):
@@ -288,7 +295,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
     if spot[FAULTS]:
         band, last = consistency.velocity_band(P, near, int(0), start + errors, turned), places[7] - a
-        fault_states(bench[spot[FAULTS] :], z, nav, x, start, spot[NORTH], C, near, res, mem[last : last + a], band)
+        shown = bench[spot[FAULTS] :], z, nav, x, rate, start
+        fault_states(*shown, spot[NORTH], C, near, res, mem[last : last + a], band)
     if spot[BEND]:
         addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
     limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True

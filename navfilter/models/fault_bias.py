@@ -78,14 +78,36 @@ class FaultCurrent(FaultBias):
     component: int = 0
 
 
+@dataclass(frozen=True)
+class FaultArm(FaultBias):
+    """By how much the lever arm of a velocity sensor was found to be described wrongly: of the description, no jump.
+
+    Parameters
+    ----------
+    component : int
+        0: forward, 1: to starboard, 2: down.
+    """
+
+    component: int = 0
+
+
+def _has_jumped(part: ErrorModel) -> bool:
+    return isinstance(part, FaultBias) and not isinstance(part, FaultArm)
+
+
 def _plain(model: ErrorModel) -> ErrorModel:
-    return sum_of([part for part in model.terms if not isinstance(part, FaultBias)])
+    return sum_of([part for part in model.terms if not _has_jumped(part)])
+
+
+def has_arm(models: tuple[ErrorModel, ...]) -> bool:
+    """Whether the error models of a sensor have a `FaultArm`."""
+    return any(isinstance(part, FaultArm) for model in models for part in model.terms)
 
 
 def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
-    """Whether the error models of a sensor, one for all axes or one per axis, have an `FaultBias`."""
+    """Whether the error models of a sensor, one for all axes or one per axis, have an `FaultBias` of a jump."""
     each = models if isinstance(models, tuple) else (models,)
-    return any(isinstance(part, FaultBias) for model in each for part in model.terms)
+    return any(_has_jumped(part) for model in each for part in model.terms)
 
 
 def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
@@ -98,7 +120,7 @@ def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | N
     """Which states of the error models of a sensor are its offsets, axis by axis, or of one axis only; empty where it
     has none.
     """
-    found = [(axis, at) for axis, at, part in _places(models, period_s) if isinstance(part, FaultBias)]
+    found = [(axis, at) for axis, at, part in _places(models, period_s) if _has_jumped(part)]
     return np.array([at for axis, at in found if only in (None, axis)], dtype=np.int64)
 
 
@@ -117,6 +139,16 @@ def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[Ints, A
 def currents(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, int]]:
     """State and component of each `FaultCurrent`."""
     return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultCurrent)]
+
+
+def arms(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, int]]:
+    """State and component of each `FaultArm`."""
+    return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultArm)]
+
+
+def with_arm(models: tuple[ErrorModel, ...], sd_m: float) -> tuple[ErrorModel, ...]:
+    """Error models of a velocity sensor with a lever arm that is unknown by so much [m]."""
+    return (sum((FaultArm(start_sd=sd_m, component=i) for i in range(3)), start=models[0]), *models[1:])
 
 
 def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[int, int, ErrorModel]]:
@@ -168,15 +200,17 @@ def described(
     stands among the others, as it does there, those are taken.
     """
     plain = {
-        name: others[name] if name in others else with_offsets(per_axis(e, axes[name], name)) if name in axes else e
+        name: others[name] if name in others else _described(per_axis(e, axes[name], name)) if name in axes else e
         for name, e in models
     }
     return plain | dict(others)
 
 
+def _described(models: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
+    return tuple(sum_of([part for part in model.terms if not isinstance(part, FaultBias)]) for model in models)
+
+
 def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
     """New error models with the offsets that the old ones have: who learns them knows nothing of offsets."""
-    pairs = zip(new, old, strict=True)
-    return tuple(
-        sum((part for part in was.terms if isinstance(part, FaultBias)), start=_plain(model)) for model, was in pairs
-    )
+    pairs = zip(_described(new), old, strict=True)
+    return tuple(sum((part for part in was.terms if isinstance(part, FaultBias)), start=model) for model, was in pairs)
