@@ -2083,7 +2083,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, off)
     if turns or reads_rate:
-        bench[rate : rate + 3] = drv[:3] / (drv[36] if drv[37] else 1.0) - off[:3]
+        bench[rate : rate + 6] = drv[:6] / (drv[36] if drv[37] else 1.0) - off
     H = mem[: places_[1]][places_[0] :].reshape(a, n)
     if reads_rate:
         z, H[:, 9:m] = z[:3] - off[:3], outputs[:3]
@@ -2116,7 +2116,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if spot[34]:
         before = mem[places_[7] - a : places_[7]]
         band = velocity_band(P, near, 0, start + errors, np.diag(bench[lever:][: a * a].reshape(a, a)).max())
-        fault_states(bench[spot[34] :], z, nav, x, bench[rate : rate + 3], start, spot[31], C, near, res, before, band)
+        fault_states(bench[spot[34] :], z, nav, x, bench[rate : rate + 6], start, spot[31], C, near, res, before, band)
     believed = bench[limits + a + 1 : limits + 2 * a + 1]
     squares = (C @ x[start - 9 : start - 9 + errors]) ** 2
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
@@ -2125,8 +2125,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
-def fault_states(table, z, nav, x, rate, start, north, C, near, res, held, band):
-    scaled, deviating, flowing, turning = table[:4].astype(int)
+def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, band):
+    scaled, deviating, flowing, described = table[:4].astype(int)
     table = table[4:]
     for state, at_m_s, axes in table[: 3 * scaled].reshape(-1, 3):
         state, axes = int(state), int(axes)
@@ -2137,9 +2137,12 @@ def fault_states(table, z, nav, x, rate, start, north, C, near, res, held, band)
         C[north, int(state)] = np.cos(np.arctan2(nav[9], nav[6]) - of_rad)
     for state, component, axes in table[3 * scaled + 2 * deviating :][: 3 * flowing].reshape(-1, 3).astype(int):
         C[:axes, state] = -near[:axes, 3 + component]
-    arms = table[3 * scaled + 2 * deviating + 3 * flowing :][: 3 * turning].reshape(-1, 3).astype(int)
-    for state, component, axes in arms:
-        C[:axes, state] = near[:axes, 3:6] @ nav[6:15].reshape(3, 3) @ np.cross(rate, np.eye(3)[component])
+    attitude = nav[6:15].reshape(3, 3)
+    rate, force = attitude @ motion[:3], attitude @ motion[3:] + [0.0, 0.0, gravity(nav[0], nav[2])]
+    table = table[3 * scaled + 2 * deviating + 3 * flowing :][: 3 * described].reshape(-1, 3).astype(int)
+    for state, component, axes in table:
+        added = np.cross(rate, attitude[:, component]) if component < 3 else np.cross(rate, nav[3:6]) - force
+        C[:axes, state] = near[:axes, 3:6] @ added
     if north >= 0:
         error = C[north] @ x[start - 9 :][: C.shape[1]]
         res[north] = _half_turn(res[north] - error) + error

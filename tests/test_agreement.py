@@ -182,8 +182,8 @@ def test_a_dvl_whose_scale_jumps_leaves_the_velocity_alone():
 def read(filter, channel, z, nav, x):
     """Jacobian of the fault's states as the kernel has it for a reading."""
     table, at = filter.bench[channel.spot[batch.FAULTS] :], (channel.group.start, channel.spot[batch.NORTH])
-    seen, none = (channel.C, channel.near, channel.res), np.zeros(3)
-    batch.fault_states(table, np.array(z), nav, x, none, *at, *seen, none.copy(), 0.0)
+    seen, none = (channel.C, channel.near, channel.res), np.zeros(6)
+    batch.fault_states(table, np.array(z), nav, x, none, *at, *seen, np.zeros(3), 0.0)
 
 
 def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():

@@ -174,7 +174,7 @@ def test_a_compass_near_iron_deviates_with_the_heading():
     nav[6], nav[9] = math.cos(1.0), math.sin(1.0)
     table, at = filter.bench[channel.spot[batch.FAULTS] :], channel.group.start
     seen = channel.C, channel.near, channel.res
-    batch.fault_states(table, np.zeros(1), nav, x, np.zeros(3), at, channel.spot[batch.NORTH], *seen, np.zeros(1), 0.0)
+    batch.fault_states(table, np.zeros(1), nav, x, np.zeros(6), at, channel.spot[batch.NORTH], *seen, np.zeros(1), 0.0)
     np.testing.assert_allclose(channel.C[0, states], [math.cos(1.0), math.sin(1.0)], atol=1e-15)
 
 

@@ -36,7 +36,7 @@ from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
-from navfilter.models.fault_bias import has_arm, with_arm, with_offsets
+from navfilter.models.fault_bias import with_description, with_offsets
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -107,27 +107,25 @@ def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejec
 
 
 def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A velocity whose lever arm or clock is described wrongly: it counts with what that makes of it. Before it has
-    confirmed the state, that may as well be wrong.
+    """A velocity whose lever arm or clock is described wrongly: these become states, and where they are, are opened to
+    it. Before it has confirmed the state, that may as well be wrong.
     """
     yield from ()
     kept = channel.faults
     if not (filter.inertial and channel.moves and kept.confirmed(channel.memory.used_s)):
         return None
     kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
-    covered = None if channel.offset else velocity_evidence.covered(channel)
-    if covered is None:
+    wrong = None if channel.offset else velocity_evidence.described_wrongly(channel)
+    if wrong is None:
         return None
-    places, covariance, white = covered
-    channel.R += white
-    if velocity_evidence.is_arm(channel) and not has_arm(channel.sensor.models):
-        opened = with_arm(channel.sensor.models, settings.ARM_M)
-        filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
-        kept.evidence = None
-    elif covariance.size:
-        yield Inflate(places[:, None], places, covariance)
-        kept.evidence = None  # what it told is the states' now
+    kept.evidence, places = None, velocity_evidence.description_places(channel)  # what it told is the states' now
     yield Count("arm-or-clock")
+    if unknown := velocity_evidence.of_description(set(range(4)) - places.keys()):
+        opened = with_description(channel.sensor.models, unknown)
+        filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
+        return False
+    own = np.array([places[component] for component in range(4)])
+    yield Inflate(own[:, None], own, wrong)
     refused = kept.refused
     yield from _readmit(filter, channel, reading.time_s)
     kept.refused = refused  # let in so, it ends no run: the next one has not jumped at once

@@ -12,6 +12,7 @@ since constants were given last, by which the description is, for it has none.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ from navfilter.faults import ground_velocity, settings
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import strapdown
-from navfilter.models.fault_bias import arms
+from navfilter.models.fault_bias import descriptions
 
 Array = NDArray[np.float64]
 #: Columns after the constants of the axes: motion of what is read against, ramp of the unit, scale, lever arm, clock,
@@ -119,18 +120,9 @@ def has_not_jumped(channel: Channel) -> bool:
     return described or max(one.gain for one in _of_unit(channel, kept)) > jumped
 
 
-def covered(channel: Channel) -> tuple[Array, Array, Array] | None:
-    """What a wrong description that explains the refused velocities adds to let the last of them in; None where it does
-    not explain them, or not this one.
-
-    Returns
-    -------
-    places : ndarray
-        Of its lever arm and clock in the error state, as far as they are states.
-    covariance : ndarray
-        For these.
-    white : ndarray, shape (axes, axes)
-        For the reading, of those that are none.
+def described_wrongly(channel: Channel) -> Array | None:
+    """Covariance of lever arm and clock, shape (4, 4), as a wrong description explains the refused velocities and lets
+    the last of them in; None where it does not explain them, or not this one.
     """
     kept, a = channel.faults.evidence, channel.axes
     assert kept is not None
@@ -142,20 +134,21 @@ def covered(channel: Channel) -> tuple[Array, Array, Array] | None:
     seen = np.isfinite(channel.res[:a])
     S = (channel.PH @ channel.H.T + channel.R + off @ E @ off.T)[np.ix_(seen, seen)]
     nis = float(channel.res[:a][seen] @ np.linalg.solve(S, channel.res[:a][seen]))
-    if not nis <= channel.limits[int(seen.sum())]:
-        return None
+    return E if nis <= channel.limits[int(seen.sum())] else None
+
+
+def description_places(channel: Channel) -> dict[int, int]:
+    """Where components of its lever arm (0, 1, 2) and its clock (3) stand in the error state, as far as they do."""
     sensor, end = channel.sensor, channel.group.start + channel.group.size
-    arm, clock = any(sensor.lever_arm_sd_m), sensor.time_offset_sd_s > 0.0
-    found = [channel.group.start + at for at, _ in arms(sensor.models, channel.period_s)]
-    known = np.array([arm or bool(found)] * 3 + [clock])
-    places = np.array([*found, *range(end - 3 * arm - clock, end)])
-    return places, E[np.ix_(known, known)], off[:, ~known] @ E[np.ix_(~known, ~known)] @ off[:, ~known].T
+    clock = sensor.time_offset_sd_s > 0.0
+    told = range(3 * (not any(sensor.lever_arm_sd_m)), 3 + clock)
+    found = {c: channel.group.start + at for at, c in descriptions(sensor.models, channel.period_s)}
+    return found | {c: end - len(told) + i for i, c in enumerate(told)}
 
 
-def is_arm(channel: Channel) -> bool:
-    """Whether it is a lever arm that explains them, of which the description says that it is known."""
-    kept = channel.faults.evidence
-    return _arm(channel, kept).gain >= _clock(channel, kept).gain and not any(channel.sensor.lever_arm_sd_m)
+def of_description(components: Iterable[int]) -> dict[int, float]:
+    """Standard deviations that these have beforehand [m], [s]."""
+    return {c: settings.ARM_M if c < 3 else settings.LATE_S for c in components}
 
 
 def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> float | None:
@@ -290,17 +283,11 @@ def _jump(channel: Channel, kept: VelocityEvidence) -> float:
 
 def _description(channel: Channel, kept: VelocityEvidence) -> Explanation:
     """A wrong lever arm and clock, by all refused readings; the gain of one of them alone where that is more."""
-    sds = np.array([settings.ARM_M] * 3 + [settings.LATE_S])
-    both = _regression(kept.sums[ALL], kept.counts[ALL], _places(channel, ARM, CLOCK), sds)
-    return both._replace(gain=max(_arm(channel, kept).gain, _clock(channel, kept).gain, both.gain))
-
-
-def _arm(channel: Channel, kept: VelocityEvidence) -> Explanation:
-    return _regression(kept.sums[ALL], kept.counts[ALL], _places(channel, ARM), np.full(3, settings.ARM_M))
-
-
-def _clock(channel: Channel, kept: VelocityEvidence) -> Explanation:
-    return _regression(kept.sums[ALL], kept.counts[ALL], _places(channel, CLOCK), np.array([settings.LATE_S]))
+    sds = np.array(list(of_description(range(4)).values()))
+    of = kept.sums[ALL], kept.counts[ALL]
+    arm, clock = _regression(*of, _places(channel, ARM), sds[:3]), _regression(*of, _places(channel, CLOCK), sds[3:])
+    both = _regression(*of, _places(channel, ARM, CLOCK), sds)
+    return both._replace(gain=max(arm.gain, clock.gain, both.gain))
 
 
 def _regression(sums: Array, count: int, places: list[int], sds: Array) -> Explanation:

@@ -14,7 +14,7 @@ from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import delayed_state
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
-from navfilter.models.fault_bias import arms, currents, deviations, has_offset, offset_states, proportions
+from navfilter.models.fault_bias import currents, descriptions, deviations, has_offset, offset_states, proportions
 from navfilter.models.sensors import Observable, Sensor
 from navfilter.models.start import Start
 
@@ -103,10 +103,10 @@ class ChannelModel(NamedTuple):
         axes = sensor.ground or sensor.axes  # over ground
         scaled = [(*one, axes) for one in proportions(sensor.models, period_s)]
         flowing = [(*one, axes) for one in currents(sensor.models, period_s)]
-        turning = [(*one, axes) for one in arms(sensor.models, period_s)]
-        each = *scaled, *zip(deviating, of_rad, strict=True), *flowing, *turning
-        faults = np.concatenate([[len(scaled), len(of_rad), len(flowing), len(turning)], *each])
-        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, limits, facts, faults
+        described = [(*one, axes) for one in descriptions(sensor.models, period_s)]
+        each = *scaled, *zip(deviating, of_rad, strict=True), *flowing, *described
+        faults = np.concatenate([[len(scaled), len(of_rad), len(flowing), len(described)], *each])
+        parts = constants, np.zeros(6), model, group.C, R + lever, lever, R, limits, facts, faults
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),
             offset_states(sensor.models, period_s),

@@ -37,7 +37,7 @@ from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.models.during import instrument
 from navfilter.models.error_models import per_axis
-from navfilter.models.fault_bias import described, has_arm, offset_states, with_the_same_offsets
+from navfilter.models.fault_bias import described, has_description, offset_states, with_the_same_offsets
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.start import Start
@@ -500,7 +500,7 @@ class Filter:
             For an unknown sensor, or something that is no error model.
         """
         memory, channel, error = self.memory, self.channels.get(change.sensor), change.error
-        if channel is not None and (channel.offset or has_arm(channel.sensor.models)) and not change.offsets:
+        if channel is not None and (channel.offset or has_description(channel.sensor.models)) and not change.offsets:
             error = with_the_same_offsets(per_axis(error, channel.axes, change.sensor), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
         found = adoption(self.in_force, self.layout, change.sensor, error, change.afresh, self.prepared)

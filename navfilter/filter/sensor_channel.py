@@ -16,7 +16,7 @@ from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.arrays import Array, Ints
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, consistency, kalman
-from navfilter.models.fault_bias import has_arm
+from navfilter.models.fault_bias import has_description
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.start import Start
@@ -164,7 +164,7 @@ class Channel:
         self.change = mem[
             at[4] + 1 : at[5]
         ]  # of velocity and tilts: `consistency.turn_velocity`, `consistency.turn_tilts`
-        self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
+        self.rate, self.model = bench[ends[1] : ends[1] + 3], bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)
         self.gate = bench[ends[7] : ends[8]]
@@ -176,13 +176,13 @@ class Channel:
             self.noted[-batch.NOTED : -1] = before[-batch.NOTED : -1]
         self.memory = Times.from_buffer(self.noted[-batch.NOTED :].data)
         starts = begin, ends[0], self.constants.size, *ends[1:9]
-        arm = has_arm(self.sensor.models)
+        described = has_description(self.sensor.models)
         is_so, partly = (
-            (self.moves, self.turns or arm, (self.sensor.observes is Observable.RATE)),
+            (self.moves, self.turns or described, (self.sensor.observes is Observable.RATE)),
             self.partly_for_s < math.inf,
         )
         north = -1 if self.sensor.observes.north is None else self.sensor.observes.north
-        faults = ends[9] if self.offset or arm else 0
+        faults = ends[9] if self.offset or described else 0
         more = at[8], at[5], partly, *self.held, north, self.sensor.hidden, False, faults, 0, 0
         self.spot = np.array([*self.dims.tolist(), *own.kernels, *is_so, *starts, *more], dtype=np.int64)
         return self.spot

@@ -175,17 +175,17 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def fault_states(table, z, nav, x, rate, start, north, C, near, res, held, band):
+def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, band):
     """Let errors in proportion to the speed, those that go with the heading, the motion of what a velocity is read
-    against, and what a lever arm adds be those of a reading as foretold.
+    against, and a wrong lever arm or clock be those of a reading as foretold.
 
     table: how many of each there are; then, of each error in proportion, its state, the speed at which it is the
     error, and of how many axes; of each deviation its state and the heading at which it is the error; and of each
-    motion, and of each component of a lever arm, its state, its component, and how many axes read it. rate (3,):
-    angular, in b. held (a,): the velocity by which an error in proportion was told last; it goes on within a band
-    (`consistency.held_slope`). The residual of a heading comes within half a turn of its error.
+    motion, and each component of a description, its state, its component, and how many axes read it. motion (6,):
+    angular rate and specific force in b. held (a,): the velocity by which an error in proportion was told last; it goes
+    on within a band (`consistency.held_slope`). The residual of a heading comes within half a turn of its error.
     """
-    scaled, deviating, flowing, turning = int(table[0]), int(table[1]), int(table[2]), int(table[3])
+    scaled, deviating, flowing, described = int(table[0]), int(table[1]), int(table[2]), int(table[3])
     for j in range(scaled):
         state, at_m_s = int(table[4 + 3 * j]), table[5 + 3 * j]
         factor = 1.0 + x[start - 9 + state] / at_m_s
@@ -204,13 +204,25 @@ def fault_states(table, z, nav, x, rate, start, north, C, near, res, held, band)
         state, component = int(table[at]), int(table[at + 1])
         for i in range(int(table[at + 2])):
             C[i, state] = -near[i, 3 + component]
-    for j in range(turning):
+    if described:
+        by = scratch(np.float64, int(3), 3)  # rate and specific force in n, and what a component adds to the velocity
+        for k in range(3):
+            by[0, k], by[1, k] = 0.0, 0.0
+            for i in range(3):
+                by[0, k] += nav[6 + 3 * k + i] * motion[i]
+                by[1, k] += nav[6 + 3 * k + i] * motion[3 + i]
+        by[1, 2] += strapdown.gravity(nav[0], nav[2])
+    for j in range(described):
         at = 4 + 3 * scaled + 2 * deviating + 3 * flowing + 3 * j
-        state, one, two = int(table[at]), (int(table[at + 1]) + 1) % 3, (int(table[at + 1]) + 2) % 3
+        state, component = int(table[at]), int(table[at + 1])
+        for k in range(3):
+            one, two = (k + 1) % 3, (k + 2) % 3
+            if component < 3:
+                by[2, k] = by[0, one] * nav[6 + 3 * two + component] - by[0, two] * nav[6 + 3 * one + component]
+            else:  # a stamp that is late shows the velocity in b before
+                by[2, k] = by[0, one] * nav[3 + two] - by[0, two] * nav[3 + one] - by[1, k]
         for i in range(int(table[at + 2])):
-            C[i, state] = 0.0
-            for k in range(3):
-                C[i, state] += near[i, 3 + k] * (nav[6 + 3 * k + one] * rate[two] - nav[6 + 3 * k + two] * rate[one])
+            C[i, state] = near[i, 3] * by[2, 0] + near[i, 4] * by[2, 1] + near[i, 5] * by[2, 2]
     if north >= 0:
         error = 0.0
         for j in range(C.shape[1]):
@@ -239,15 +251,17 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     if not spot[UNHEARD]:
         kalman.store_transition(acc, mem)
     kalman.predict(P, nav, x, acc, model, mem, dims, count)
-    rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
+    motion, xd = bench[spot[RATE] : spot[RATE] + 6], x[: m - 9]
+    rate = motion[:3]
     H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
     timed = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.CLOCK] != 0.0
     if spot[READS_RATE] or (spot[TURNS] and not timed):  # by a clock that is a state the rate is that of then
         outputs, off = shaped(spare[: 6 * (m - 9)], 6, m - 9), spare[6 * (m - 9) : 6 * (m - 8)]
         delayed_state.drive_outputs(drv, Cr, xd, outputs, off)
         per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+        for i in range(6):
+            motion[i] = drv[strapdown.PREVIOUS + i] / per - off[i]
         for i in range(3):
-            rate[i] = drv[strapdown.PREVIOUS + i] / per - off[i]
             if drv[strapdown.INERTIAL] == 0.0:
                 rate[i] = drv[strapdown.RATE + i]
         if spot[READS_RATE]:
@@ -295,7 +309,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
     if spot[FAULTS]:
         band, last = consistency.velocity_band(P, near, int(0), start + errors, turned), places[7] - a
-        shown = bench[spot[FAULTS] :], z, nav, x, rate, start
+        shown = bench[spot[FAULTS] :], z, nav, x, motion, start
         fault_states(*shown, spot[NORTH], C, near, res, mem[last : last + a], band)
     if spot[BEND]:
         addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))

@@ -79,29 +79,29 @@ class FaultCurrent(FaultBias):
 
 
 @dataclass(frozen=True)
-class FaultArm(FaultBias):
-    """By how much the lever arm of a velocity sensor was found to be described wrongly: of the description, no jump.
+class FaultDescription(FaultBias):
+    """By how much a velocity sensor was found to be described wrongly: no jump, for it has no beginning.
 
     Parameters
     ----------
     component : int
-        0: forward, 1: to starboard, 2: down.
+        0, 1, 2: its lever arm forward, to starboard, down [m]; 3: its clock, by which its stamps are late [s].
     """
 
     component: int = 0
 
 
 def _has_jumped(part: ErrorModel) -> bool:
-    return isinstance(part, FaultBias) and not isinstance(part, FaultArm)
+    return isinstance(part, FaultBias) and not isinstance(part, FaultDescription)
 
 
 def _plain(model: ErrorModel) -> ErrorModel:
     return sum_of([part for part in model.terms if not _has_jumped(part)])
 
 
-def has_arm(models: tuple[ErrorModel, ...]) -> bool:
-    """Whether the error models of a sensor have a `FaultArm`."""
-    return any(isinstance(part, FaultArm) for model in models for part in model.terms)
+def has_description(models: tuple[ErrorModel, ...]) -> bool:
+    """Whether the error models of a sensor have a `FaultDescription`."""
+    return any(isinstance(part, FaultDescription) for model in models for part in model.terms)
 
 
 def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
@@ -141,14 +141,15 @@ def currents(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int,
     return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultCurrent)]
 
 
-def arms(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, int]]:
-    """State and component of each `FaultArm`."""
-    return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultArm)]
+def descriptions(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, int]]:
+    """State and component of each `FaultDescription`."""
+    return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultDescription)]
 
 
-def with_arm(models: tuple[ErrorModel, ...], sd_m: float) -> tuple[ErrorModel, ...]:
-    """Error models of a velocity sensor with a lever arm that is unknown by so much [m]."""
-    return (sum((FaultArm(start_sd=sd_m, component=i) for i in range(3)), start=models[0]), *models[1:])
+def with_description(models: tuple[ErrorModel, ...], sds: Mapping[int, float]) -> tuple[ErrorModel, ...]:
+    """Error models of a velocity sensor with these components of its description unknown by so much [m], [s]."""
+    unknown = (FaultDescription(start_sd=sd, component=i) for i, sd in sds.items())
+    return (sum(unknown, start=models[0]), *models[1:])
 
 
 def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[int, int, ErrorModel]]:
