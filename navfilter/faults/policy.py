@@ -112,7 +112,7 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
     """
     yield from ()
     kept = channel.faults
-    if not (filter.inertial and channel.moves and kept.confirmed(channel.memory.used_s)):
+    if not (filter.inertial and channel.moves):
         return None
     kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
     wrong = None if channel.offset else velocity_evidence.described_wrongly(channel)
