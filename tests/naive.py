@@ -2142,6 +2142,8 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
     table = table[3 * scaled + 2 * deviating + 3 * flowing :][: 3 * described].reshape(-1, 3).astype(int)
     for state, component, axes in table:
         added = np.cross(rate, attitude[:, component]) if component < 3 else np.cross(rate, nav[3:6]) - force
+        if component > 3:
+            added = np.cross(attitude[:, component - 4], nav[3:6])
         C[:axes, state] = near[:axes, 3:6] @ added
     if north >= 0:
         error = C[north] @ x[start - 9 :][: C.shape[1]]

@@ -24,11 +24,13 @@ from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.models.fault_bias import offset_states, with_offsets
+from navfilter.models.fault_bias import descriptions, offset_states, with_description, with_offsets
 from navfilter.models.sensors.observable import Observable
 
 #: Of the height among the navigation states.
 DOWN = 2
+#: Of a velocity, among the components of `navfilter.models.fault_bias.FaultDescription`: about its x and y axis.
+MOUNTING = (4, 5)
 
 
 def are_told(filter: FilterState, gauge: Channel, time_s: float) -> bool:
@@ -89,6 +91,17 @@ def undecided(filter: FilterState, channel: Channel, time_s: float) -> bool:
         if not whole**2 > settings.DEPTH_GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
     return channel.faults.confirmed(channel.memory.used_s) and are_told(filter, channel, time_s)
+
+
+def mounted_wrongly(filter: FilterState) -> Iterator[Change]:
+    """What makes states of roll and pitch of the velocities that may lead the height away from a gauge."""
+    for channel in filter.channels.values():
+        models, parameters = channel.sensor.models, channel.sensor.all_parameters()
+        known = any(component in MOUNTING for _, component in descriptions(models, channel.period_s))
+        known |= any(parameter.name.startswith("misalignment") for parameter in parameters)
+        if channel.moves and channel.ground and not known:
+            opened = with_description(models, dict.fromkeys(MOUNTING, settings.ANGLE_SD))
+            yield Change(channel.name, opened, offsets=True)
 
 
 def open_both(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:

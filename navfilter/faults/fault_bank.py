@@ -50,8 +50,8 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
             for kind in (FLOW_STEP, FLOW_RAMP):
                 add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
         if north is not None:
-            add(i, settings.HEADING_SD, (STEP, north))
-            add(i, settings.HEADING_SD, (RAMP, north))
+            add(i, settings.ANGLE_SD, (STEP, north))
+            add(i, settings.ANGLE_SD, (RAMP, north))
     drive = layout.drive
     for axis, states in enumerate(drive.biases):
         for state in states[:1]:

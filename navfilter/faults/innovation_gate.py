@@ -173,7 +173,9 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, un
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (1.0 if math.isnan(channel.faults.astray_m) else settings.PATIENT)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
-    widens = periods >= 1 and nis <= limit * 2.0 ** min(periods, 500)
+    # a height that a velocity leads away goes on to leave as fast as the gate opens
+    led = channel.sensor.observes is Observable.HEIGHT
+    widens = periods >= 1 and (led or nis <= limit * 2.0 ** min(periods, 500))
     if not widens and not _runs_away(channel, time_s, unseen):
         return None
     a, H = channel.axes, channel.H

@@ -75,8 +75,8 @@ DEPTH_GROWN = 2.0
 #: Each fault happens so often [1/s]: once in twenty hours. (chosen)
 FAULTS_PER_S = 0.05 / 3600.0
 #: Standard deviations of what may go wrong: of the velocity of what a velocity is read against [m/s], of a heading
-#: [rad], and of a bias of the unit, as a multiple of what it is at the start [1]. (chosen)
-FLOW_SD, HEADING_SD, BIAS_SDS = 0.3, math.radians(10.0), 30.0
+#: or a mounting [rad], and of a bias of the unit, as a multiple of what it is at the start [1]. (chosen)
+FLOW_SD, ANGLE_SD, BIAS_SDS = 0.3, math.radians(10.0), 30.0
 #: By so much fixes may jump, or the position beside them [m]. (chosen)
 JUMP_M = 100.0
 

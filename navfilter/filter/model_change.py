@@ -179,7 +179,8 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
     for part, size in zip(news, sizes_new, strict=True):
         rows = slice(row, row + size)
         row += size
-        match = next((i for i, p in enumerate(olds) if i not in taken and _same_kind(p, part)), None)
+        left = [i for i in range(len(olds)) if i not in taken]
+        match = next((i for i in left if olds[i] == part), next((i for i in left if _same_kind(olds[i], part)), None))
         if match is None:
             N[rows, rows] = part.block(period_s).P0
             continue
@@ -190,9 +191,7 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
 
 
 def _same_kind(old: ErrorModel, new: ErrorModel) -> bool:
-    walks = isinstance(old, RandomWalk) and isinstance(
-        new, RandomWalk
-    )  # the bias that there is wanders otherwise from now on
+    walks = isinstance(old, RandomWalk) and type(old) is type(new)  # the same bias wanders otherwise from now on
     return old == new or walks or isinstance(new, LearnedArma) or isinstance(old, LearnedArma)
 
 

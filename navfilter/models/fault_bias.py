@@ -85,7 +85,8 @@ class FaultDescription(FaultBias):
     Parameters
     ----------
     component : int
-        0, 1, 2: its lever arm forward, to starboard, down [m]; 3: its clock, by which its stamps are late [s].
+        0, 1, 2: its lever arm forward, to starboard, down [m]; 3: its clock, by which its stamps are late [s];
+        4, 5: its mounting about the forward and the starboard axis [rad].
     """
 
     component: int = 0
