@@ -2143,7 +2143,7 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
     for state, component, axes in table:
         added = np.cross(rate, attitude[:, component]) if component < 3 else np.cross(rate, nav[3:6]) - force
         if component > 3:
-            added = np.cross(attitude[:, component - 4], nav[3:6])
+            added = np.cross(nav[3:6], attitude[:, component - 4])
         C[:axes, state] = near[:axes, 3:6] @ added
     if north >= 0:
         error = C[north] @ x[start - 9 :][: C.shape[1]]

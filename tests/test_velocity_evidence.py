@@ -1,11 +1,15 @@
 """Refused velocities: which explanation they speak for, against a dense computation and in missions."""
 
 import dataclasses
+import itertools
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import same_runs
+from feeding import events_of, one_by_one
+from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 from test_alternatives import since
 from test_fault_bank import SHIFT_S, long_dive
@@ -15,9 +19,16 @@ from navfilter.evaluation.diagnostics import doubts
 from navfilter.evaluation.fix_reacquisition import evidence
 from navfilter.faults.velocity_evidence import ALL, VelocityEvidence, _jump, _of_unit, _regression
 from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.kernels import batch
+from navfilter.kernels.strapdown import gravity
+from navfilter.models.state import matrix_from_euler
 
-COLUMNS = 5
+COLUMNS, DEG = 5, math.pi / 180.0
 SDS = np.array([0.5, 2.0])
+
+
+def skew(v):
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def sums_of(X, r):
@@ -103,6 +114,75 @@ def test_a_lever_arm_told_wrongly_is_no_jump_of_the_sensor(states):
     said = {finding.code for finding in doubts(track, mission, evidence(track))}
     assert ("arm-or-clock" in said) == (track.counts["arm-or-clock"] > 0) == (not states)  # a state follows by itself
     assert error < max(1.1 * ungated, 2.0 * right)
+    if not states:
+        assert estimates(track, 0, 3) == pytest.approx([-3.0, 0.0, 0.0], abs=0.3)
+
+
+def estimates(track, first, count):
+    """What is found of the description of the DVL, at the end."""
+    at = track.state_names.index("dvl_x[0]") + first
+    assert (track.states_sd[-1, at : at + count] < 0.3).all()
+    return track.states[-1, at : at + count].tolist()
+
+
+def test_a_clock_told_wrongly_becomes_a_state():
+    vehicle, mission = long_dive()
+    dvl = mission.streams["dvl"]
+    late = mission.with_stream("dvl", nf.Stream(dvl.time_s + 0.7, dvl.value, dvl.columns))
+    track, error = rms(told(vehicle), late)
+    _, right = rms(told(vehicle), mission)
+    assert track.counts["arm-or-clock"] >= 1 and estimates(track, 3, 1) == pytest.approx([0.7], abs=0.2)
+    assert error < 3.0 * right
+
+
+def test_a_velocity_mounted_wrongly_keeps_no_depth_gauge_out():
+    """Turned by 5 deg, it says that the vehicle sinks; a gauge was refused for as long as that went on."""
+    vehicle, mission = long_dive()
+    dvl, C = mission.streams["dvl"], matrix_from_euler(0.0, 5.0 * DEG, 0.0)
+    track, _ = rms(told(vehicle), mission.with_stream("dvl", nf.Stream(dvl.time_s, dvl.value @ C, dvl.columns)))
+    down = np.abs(track.errors(mission.truth).position_n[:, 2])
+    assert down.max() < 10.0 and down[track.time_s > 300.0].max() < 1.0
+    assert estimates(track, 1, 1) == pytest.approx([5.0 * DEG], abs=1.0 * DEG)
+    said = [finding for finding in doubts(track, mission, evidence(track)) if finding.code == "arm-or-clock"]
+    assert [finding.stream for finding in said] == ["dvl"] and "roll and pitch" in said[0].text
+
+
+def test_what_is_found_of_a_description_is_the_same_live_and_restored():
+    vehicle, mission = long_dive()
+    wrong, mission = told(vehicle, lever_arm_b_m=(3.0, 0.0, 0.0)), mission.between(0.0, 400.0)
+    events = events_of(wrong, mission)
+    live, half = nf.Navigator(wrong, mission.start), nf.Navigator(wrong, mission.start)
+    one_by_one(live, events)
+    adopted = [time_s for time_s, _ in nf.replay(wrong, mission).error_models["dvl"]][1]
+    one_by_one(half, [event for event in events if event.time_s <= adopted + 5.0])
+    assert half.counts["arm-or-clock"] == 1
+    again = nf.Navigator.restore(wrong, half.snapshot())
+    one_by_one(again, [event for event in events if event.time_s > adopted + 5.0])
+    same_runs.assert_same_bits(live, again)
+    np.testing.assert_array_equal(nf.replay(wrong, mission).covariance[-1], live.covariance)
+
+
+def test_jacobian_of_a_description_is_that_of_the_reading():
+    """By differences: a velocity over ground, in the axes of an instrument that is turned, with a lever arm, late."""
+    rng = np.random.default_rng(11)
+    angles, rate, force, velocity = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+    C, nav = matrix_from_euler(*angles), np.zeros(17)
+    nav[0], nav[3:6], nav[6:15] = 0.5, velocity, C.reshape(-1)
+    accelerated = C @ force + [0.0, 0.0, gravity(0.5, 0.0)]
+
+    def reading(of):
+        C_then = C @ expm(-of[3] * skew(rate))
+        then = C_then.T @ (velocity - of[3] * accelerated) + np.cross(rate, of[:3])
+        return expm(-skew([*of[4:], 0.0])) @ then
+
+    table = np.array([0, 0, 0, 6, *itertools.chain(*([i, i, 3] for i in range(6)))], dtype=float)
+    J, near = np.zeros((3, 6)), np.zeros((3, 9))
+    near[:, 3:6] = C.T
+    motion, none = np.concatenate([rate, force]), np.zeros(3)
+    batch.fault_states(table, none, nav, np.zeros(20), motion, 9, -1, J, near, none, none, 0.0)
+    steps = 1e-6 * np.eye(6)
+    expected = np.column_stack([(reading(step) - reading(-step)) / 2e-6 for step in steps])
+    np.testing.assert_allclose(J, expected, atol=1e-8)
 
 
 def test_a_jump_that_begins_in_a_turn_is_told_after_it():

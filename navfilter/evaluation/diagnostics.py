@@ -18,7 +18,8 @@ from navfilter.evaluation.omitted_parameters import left_out_doubts
 from navfilter.faults.imu.monitor import COUNTED
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.display import counted
-from navfilter.models.fault_bias import has_offset
+from navfilter.models.error_models import per_axis
+from navfilter.models.fault_bias import descriptions, has_offset
 from navfilter.models.lane_missions import last_unit, of_one_unit
 from navfilter.models.mission import Mission
 from navfilter.models.sensors.traits import shown_unit
@@ -125,6 +126,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
     yield from _mended(run, len(_unlucky(evidence, limits)))
     yield from correlation_doubts(run, mission)
     yield from _given_up(run)
+    yield from _described_wrongly(run)
 
 
 # --- the track itself -----------------------------------------------------------------------------------------------
@@ -226,13 +228,40 @@ def _given_up(run: Track) -> Iterator[Finding]:
         text = f"all sensors contradicted the state {count} times, so that it was given up and established anew."
         cure = "See in report.html, at the innovations, when, and which sensor was first."
         yield Finding("error", "opened", "", text, cure)
-    if count := run.counts.get("arm-or-clock", 0):
-        text = (
-            f"{counted(count, 'readings')} of a velocity agreed with the others only as if its lever arm or its clock"
-            " were wrong: let in with what that makes of them as noise."
-        )
-        cure = "Measure them; or give them as states in vehicle.toml, lever_arm_sd_m = 1.0 and time_offset_sd_s = 0.5."
-        yield Finding("warning", "arm-or-clock", "", text, cure)
+
+
+def _described_wrongly(run: Track) -> Iterator[Finding]:
+    """Lever arm, clock and mounting of velocities that were found to be wrong, as they stand at the end."""
+    for name, history in run.error_models.items():
+        sensor = run.vehicle.sensors.get(name)
+        if sensor is None:
+            continue
+        found = descriptions(per_axis(history[-1][1], sensor.axes, name), 1.0 / sensor.rate_hz)
+        first = next((i for i, state in enumerate(run.state_names) if state.startswith(f"{name}_")), 0)
+        at = {component: first + place for place, component in found}
+        parts = []
+        for what, unit, factor, components in _DESCRIPTION:
+            if components[0] in at:
+                places = [at[component] for component in components]
+                values, sds = factor * run.states[-1, places], factor * run.states_sd[-1, places]
+                parts.append(f"{what} {_each(values)} {unit} (sd {_each(sds)})")
+        if parts:
+            text = f"it agrees with the others only if it is described wrongly: {'; '.join(parts)}."
+            cure = f"Measure it, and correct [sensors.{name}] in vehicle.toml; or say there how far it is known, as by"
+            cure += " lever_arm_sd_m, time_offset_sd_s, misalignment_sd_deg."
+            yield Finding("warning", "arm-or-clock", name, text, cure)
+
+
+#: What of a description was found to be wrong: words, unit, and components of `navfilter.models.fault_bias`.
+_DESCRIPTION = (
+    ("its place differs from lever_arm_b_m by", "m", 1.0, (0, 1, 2)),
+    ("its stamps are late by", "s", 1.0, (3,)),
+    ("it is turned in roll and pitch by", "deg", math.degrees(1.0), (4, 5)),
+)
+
+
+def _each(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.2g}" for value in values)
 
 
 # --- sensors --------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ import numpy as np
 
 from navfilter.faults import settings
 from navfilter.faults.sensor_bias import offset_places
+from navfilter.faults.velocity_evidence import was_right
 from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import FilterState
@@ -93,15 +94,23 @@ def undecided(filter: FilterState, channel: Channel, time_s: float) -> bool:
     return channel.faults.confirmed(channel.memory.used_s) and are_told(filter, channel, time_s)
 
 
-def mounted_wrongly(filter: FilterState) -> Iterator[Change]:
-    """What makes states of roll and pitch of the velocities that may lead the height away from a gauge."""
+def open_mounting(filter: FilterState, gauge: Channel) -> Iterator[Action]:
+    """Make states of roll and pitch of the velocities that may lead the height away from a gauge, and open the velocity
+    by what they have told of it. From one that was right for long, on a way, no mounting does: that would have shown.
+    """
+    if not filter.inertial or was_right(filter, gauge):
+        return
     for channel in filter.channels.values():
         models, parameters = channel.sensor.models, channel.sensor.all_parameters()
         known = any(component in MOUNTING for _, component in descriptions(models, channel.period_s))
         known |= any(parameter.name.startswith("misalignment") for parameter in parameters)
         if channel.moves and channel.ground and not known:
             opened = with_description(models, dict.fromkeys(MOUNTING, settings.ANGLE_SD))
-            yield Change(channel.name, opened, offsets=True)
+            filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
+            nav = filter.memory.nav
+            turned = settings.ANGLE_SD * np.cross(nav[6:15].reshape(3, 3)[:, :2].T, nav[3:6])
+            yield Inflate(slice(3, 6), slice(3, 6), turned.T @ turned)
+            yield Count("arm-or-clock")
 
 
 def open_both(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Action]:

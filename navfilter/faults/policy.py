@@ -229,10 +229,8 @@ def _widened_gate(filter: FilterState, channel: Channel, reading: Rejected) -> A
     added = innovation_gate.widening(P, channel, time_s, reading.nis, reading.dof, unseen)
     if added is None or sensor_bias.disproved(channel, time_s):
         return False
-    if channel.sensor.observes is Observable.HEIGHT and filter.inertial:
-        mounted = list(depth_fault.mounted_wrongly(filter))
-        filter.monitor.changes += mounted
-        yield Count("arm-or-clock", bool(mounted))
+    if channel.sensor.observes is Observable.HEIGHT:
+        yield from depth_fault.open_mounting(filter, channel)
     if depth_fault.undecided(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
         return False

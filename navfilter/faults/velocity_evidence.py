@@ -76,7 +76,10 @@ def with_refused(filter: FilterState, channel: Channel, time_s: float) -> Veloci
     time_s : float
         Of the reading [s].
     """
-    before, since_s = channel.faults.evidence, channel.faults.rejected_since_s
+    memory = channel.faults
+    before, since_s = memory.evidence, memory.rejected_since_s
+    if before is not None and memory.confirmed(channel.memory.used_s) and not memory.confirmed(before.time_s):
+        before = None  # the state may have been wrong, which has settled since
     # one that was let in by what explains it ends no run
     on_end = before is not None and time_s - before.time_s <= 1.5 * channel.period_s
     since_s = before.since_s if before is not None and on_end else since_s
@@ -162,7 +165,7 @@ def force_felt_wrongly(filter: FilterState, channel: Channel, time_s: float) -> 
     time_s : float
         Of the reading [s].
     """
-    kept, right = channel.faults, was_right(filter, channel)
+    kept, right = channel.faults, filter.inertial and bool(channel.ground) and was_right(filter, channel)
     # one that nobody had tried for long may be late: while the vehicle speeds up, that grows as well
     least_s = settings.VELOCITY_SPAN_S if right else settings.LONG_S
     told = filter.inertial and bool(channel.ground) and time_s - kept.rejected_since_s >= least_s
@@ -196,11 +199,9 @@ def force(channel: Channel, described: bool) -> float | None:
 
 
 def was_right(filter: FilterState, channel: Channel) -> bool:
-    """Whether a velocity that is refused was used for long before, on a way: what is described wrongly shows when the
+    """Whether a sensor that is refused was used for long before, on a way: what is described wrongly shows when the
     vehicle first moves off.
     """
-    if not filter.inertial or not channel.ground:
-        return False
     kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
     return channel.memory.used_s - kept.agreed_s >= settings.USED_S and math.hypot(*way) >= settings.WAY_M
 

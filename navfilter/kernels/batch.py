@@ -219,9 +219,9 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
             one, two = (k + 1) % 3, (k + 2) % 3
             if component < 3:
                 by[2, k] = by[0, one] * nav[6 + 3 * two + component] - by[0, two] * nav[6 + 3 * one + component]
-            elif component > 3:  # turned about an axis of b
+            elif component > 3:  # an instrument that is turned about an axis of b
                 axis = component - 4
-                by[2, k] = nav[6 + 3 * one + axis] * nav[3 + two] - nav[6 + 3 * two + axis] * nav[3 + one]
+                by[2, k] = nav[3 + one] * nav[6 + 3 * two + axis] - nav[3 + two] * nav[6 + 3 * one + axis]
             else:  # a stamp that is late shows the velocity in b before
                 by[2, k] = by[0, one] * nav[3 + two] - by[0, two] * nav[3 + one] - by[1, k]
         for i in range(int(table[at + 2])):

@@ -114,7 +114,7 @@ def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
 def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
     """Whether a `FaultBias` among the error models of a sensor wanders: that of one that has jumped by about itself."""
     each = models if isinstance(models, tuple) else (models,)
-    return any(isinstance(part, FaultBias) and part.density > 0.0 for model in each for part in model.terms)
+    return any(_has_jumped(part) and part.density > 0.0 for model in each for part in model.terms)
 
 
 def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> Ints:
@@ -148,7 +148,7 @@ def descriptions(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[
 
 
 def with_description(models: tuple[ErrorModel, ...], sds: Mapping[int, float]) -> tuple[ErrorModel, ...]:
-    """Error models of a velocity sensor with these components of its description unknown by so much [m], [s]."""
+    """Error models of a velocity sensor with these components of its description unknown by so much [m], [s], [rad]."""
     unknown = (FaultDescription(start_sd=sd, component=i) for i, sd in sds.items())
     return (sum(unknown, start=models[0]), *models[1:])
 
