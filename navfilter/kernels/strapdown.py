@@ -705,9 +705,9 @@ def _to_panels(M, X, m, moving):
     for column in range(0, X.size // high, WIDE):
         begin, known = column * high, min(WIDE, m - column)
         for i in range(moving):
-            copy_row(X, begin + i * WIDE, M, i * m + column, known)
+            copy_row(X, M, begin + i * WIDE, i * m + column, known)
         for i in range(moving, high):
-            copy_row(X, begin + i * WIDE, M, int(0), int(0))
+            copy_row(X, M, begin + i * WIDE, int(0), int(0))
 
 
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
@@ -719,7 +719,7 @@ def _from_panels(X, M, m, moving):
     columns = X.size // high
     for i in range(moving):
         for column in range(0, columns, WIDE):
-            copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
+            copy_row(M, X, i * m + column, column * high + i * WIDE, whole)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
