@@ -360,8 +360,7 @@ class Arma(ErrorModel):
             radius = max(abs(np.roots([1.0, *self.ar])))
             raise ValueError(
                 f"Arma.ar has a pole of radius {radius:.6f}: the error would grow without bound. Use a pole inside the "
-                "unit circle, "
-                "or RandomWalk(...) + Arma(...) for a unit root."
+                "unit circle, or RandomWalk(...) + Arma(...) for a unit root."
             )
 
     def block(self, period_s: float) -> Block:

@@ -72,9 +72,8 @@ class Attitude(Sensor):
         "Attitude of an AHRS or gyrocompass beside the inertial unit; its errors are slow, because it filters itself.",
         5,
         (
-            'error = {roll = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, '
-            'pitch = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, '
-            'yaw = {model = "gauss-markov", sd_deg = 1.0, tau_s = 60}}',
+            'error = {roll = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, pitch = {model = "gauss-markov", '
+            'sd_deg = 0.5, tau_s = 30}, yaw = {model = "gauss-markov", sd_deg = 1.0, tau_s = 60}}',
         ),
         live=False,
     )
