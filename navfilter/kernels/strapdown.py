@@ -17,11 +17,9 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch
+from navfilter.kernels.compiling.decorators import COUNTED, UNCOUNTED, flat, njit, scratch
 from navfilter.kernels.compiling.registers import all_of, load, store, times
 from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
-
-COUNTED: dict = {"_nrt": True}
 
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
 EARTH_E2 = 6.69437999014e-3  # first eccentricity squared

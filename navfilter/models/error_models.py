@@ -170,6 +170,10 @@ class ErrorModel(FrozenDescription):
         return Sum((*self.terms, *other.terms))
 
 
+#: One for all axes of a sensor, or one for each.
+Errors = ErrorModel | tuple[ErrorModel, ...]
+
+
 def sum_of(parts: Sequence[ErrorModel]) -> ErrorModel:
     """The sum of error models, or the one there is."""
     return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
