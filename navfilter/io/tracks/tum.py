@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from navfilter.foundation.arrays import Array
+from navfilter.foundation.atomic_files import pieces, replacing
 from navfilter.io.geodesy import Origin, local_enu, origin_of, plane_from_body
-from navfilter.io.tracks.atomic_files import pieces, replacing
 from navfilter.models.mission import Mission, Stream
 from navfilter.track.track import Track
 
