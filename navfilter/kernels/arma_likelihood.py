@@ -101,8 +101,8 @@ def stationary(a, c, P):
     for _ in range(60):
         worst = 0.0
         top = 0.0
-        matrix_product(A, P, T)
-        matrix_product_transposed(T, A, B)
+        arma_fit.matrix_product(A, P, T)
+        arma_fit.matrix_product_transposed(T, A, B)
         for i in range(m):
             for j in range(m):
                 if not abs(B[i, j]) < 1e300:
@@ -112,33 +112,11 @@ def stationary(a, c, P):
                 top = max(top, abs(P[i, j]))
         if not worst > 1e-17 * top:
             return True
-        matrix_product(A, A, T)
+        arma_fit.matrix_product(A, A, T)
         for i in range(m):
             for j in range(m):
                 A[i, j] = T[i, j]
     return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def matrix_product(A, B, out):
-    """A B, of square matrices, into `out`."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            s = 0.0
-            for k in range(A.shape[0]):
-                s += A[i, k] * B[k, j]
-            out[i, j] = s
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def matrix_product_transposed(A, B, out):
-    """A B' into `out`."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            s = 0.0
-            for k in range(A.shape[0]):
-                s += A[i, k] * B[j, k]
-            out[i, j] = s
 
 
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
