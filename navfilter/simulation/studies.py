@@ -57,6 +57,9 @@ class Study:
         What `oracle` is told of the sensor where no error model is the whole truth; default: the error.
     really : callable, optional
         The vehicle as it really is, where its operator leaves out more than an error model.
+    misled : bool
+        Whether the operator is wrong by a factor of 2 in the standard deviation or 5 in the time constant, so that
+        learning must be better than the description.
     """
 
     about: str
@@ -71,6 +74,7 @@ class Study:
     faulty: Mapping[str, Any] = field(default_factory=dict)
     told: Models | None = None
     really: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
+    misled: bool = False
 
 
 # --- the errors -----------------------------------------------------------------------------------------------------
@@ -207,12 +211,13 @@ _GM1 = GaussMarkov(sd=0.5 * _DEG, tau_s=15.0)
 
 #: The usual scenarios by name.
 USUAL: dict[str, Study] = {
-    "compass-white": compass("white, 0.5 deg", "white", White(sd=0.5 * _DEG)),
+    "compass-white": compass("white, 0.5 deg", "white", White(sd=0.5 * _DEG), misled=True),
     "compass-gm1": compass("first-order Gauss-Markov, 0.5 deg, 15 s", "gm1", _GM1),
     "compass-gm1-white": compass("the same on white noise of 0.3 deg", "smooth", _GM1 + White(sd=0.3 * _DEG)),
     "compass-gm2": compass("second-order Gauss-Markov, 0.5 deg, 10 "
                             "s", "smooth", GaussMarkov(sd=0.5 * _DEG, tau_s=10.0, order=2)),
-    "compass-mixed": compass("a hump, a wide peak at 1 Hz and white noise: ARMA(4,2), 0.63 deg", "smooth", _mixed()),
+    "compass-mixed": compass("a hump, a wide peak at 1 Hz and white noise: ARMA(4,2), 0.63 deg", "smooth", _mixed(),
+                             misled=True),
     "compass-swell": compass("slow, and swings with a period of 6 s: ARMA(4,2), 0.5 deg", "oscillating",
                               _slow(0.35 * _DEG) + swing(0.35 * _DEG, 6.0, 0.99)),
     "compass-rolling": compass("slow, and swings with a period of 1.5 s: ARMA(4,2), 0.5 deg", "oscillating",
@@ -220,15 +225,16 @@ USUAL: dict[str, Study] = {
     "compass-comb": compass("thesis, case 4: slow, and a comb of ten samples: ARMA(10,9), 0.5 "
                              "deg", "oscillating", _comb(), LAB2_RATE_HZ),
     "compass-thesis": compass("thesis, case 2 as printed: ARMA(10,8), 0.43 "
-                               "deg", "smooth", _thesis_compass(), LAB1_RATE_HZ),
+                               "deg", "smooth", _thesis_compass(), LAB1_RATE_HZ, misled=True),
     "gps-thesis": Study("thesis, longitude: AR(2), 2.3 m; a third of the way at the surface", "gps", "smooth",
-                        always(_thesis_gps()), rated("gps", GPS_RATE_HZ), 2700.0, fixes_s=1080.0),
+                        always(_thesis_gps()), rated("gps", GPS_RATE_HZ), 2700.0, fixes_s=1080.0,
+                        misled=True),
     "gyro-thesis": Study("thesis, roll rate: bias and ARMA(2,2) at the Nyquist frequency; long rest "
                          "first", "gyro", "smooth",
                          _thesis_gyro, rest_s=180.0),
     "dvl-coloured": Study("DVL slow and with the waves, ARMA(3,3), with scale and misalignment as "
                           "states", "dvl", "oscillating",
-                          _waves, _calibrating, 2700.0),
+                          _waves, _calibrating, 2700.0, misled=True),
     "compass-triples": Study("Gauss-Markov whose standard deviation trebles after a third", "compass", "changing",
                              _changes(_GM1, GaussMarkov(sd=1.5 * _DEG, tau_s=15.0)), duration_s=2700.0),
     "compass-recoloured": Study("Gauss-Markov that becomes white noise and a swing of 1.5 s after a "
@@ -252,7 +258,7 @@ def _wrong(sd: float, tau_s: float, what: str) -> Study:
     """Gauss-Markov on white noise, described as such, but with another standard deviation [deg] or time constant."""
     about = f"Gauss-Markov, 0.5 deg, 60 s, on white noise of 0.2 deg; described with {what}"
     belief = believing(compass=_slow_deg(sd, tau_s, 0.2))
-    return compass(about, "smooth", _slow_deg(0.5, 60.0, 0.2), equip=belief)
+    return compass(about, "smooth", _slow_deg(0.5, 60.0, 0.2), equip=belief, misled=True)
 
 
 def _short(minutes: int) -> Study:
@@ -274,7 +280,7 @@ _TENTH = 0.1
 #: The hard scenarios by name.
 HARD: dict[str, Study] = {
     "compass-slow-10min": compass(
-        "slow, 0.5 deg, 10 min, on white noise of 0.2 deg", "smooth", _slow_deg(0.5, 600.0, 0.2)
+        "slow, 0.5 deg, 10 min, on white noise of 0.2 deg", "smooth", _slow_deg(0.5, 600.0, 0.2), misled=True
     ),
     "compass-slow-2min": compass("the same with 2 min", "smooth", _slow_deg(0.5, 120.0, 0.2)),
     "compass-gm2-40s": compass(
@@ -284,6 +290,7 @@ HARD: dict[str, Study] = {
         "slow, 0.3 deg, 200 s, and swings of 4 and 9 s, 0.4 and 0.3 deg",
         "oscillating",
         GaussMarkov(sd=0.3 * _DEG, tau_s=200.0) + swing(0.4 * _DEG, 4.0, 0.97) + swing(0.3 * _DEG, 9.0, 0.99),
+        misled=True,
     ),
     "compass-coarse": compass(
         "Gauss-Markov, 0.35 deg, 60 s, read in whole degrees",
@@ -316,6 +323,7 @@ HARD: dict[str, Study] = {
             (_slow_on_white(0.02, 120.0, 0.01), _slow_on_white(0.02, 120.0, 0.01), _slow_on_white(0.005, 120.0, 0.01))
         ),
         believing(dvl=_slow_on_white(0.01, 60.0, 0.01)),
+        misled=True,
     ),
     "gps-slow": Study(
         "fixes slow, 2 m, 200 s, on white noise of 0.5 m; half of the way at the surface",
@@ -331,5 +339,6 @@ HARD: dict[str, Study] = {
         "smooth",
         always(_slow_on_white(0.3, 200.0, 0.05)),
         believing(depth=_slow_on_white(0.1, 60.0, 0.05)),
+        misled=True,
     ),
 }
