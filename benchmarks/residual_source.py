@@ -38,7 +38,7 @@ import numpy as np
 from harness import Array, Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.learning.arma_fit import fit_channel, zero_frequency
+from navfilter.learning.arma_fit import fit_channel
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.models.error_models import ErrorModel, block_level
 from navfilter.models.mission import Mission, Stream
@@ -187,7 +187,7 @@ def compass_run(job: tuple[str, str, int]) -> dict[str, Score]:
         errors = track.errors(mission.truth)
         rows = (track.time_s >= LEARN_S) & np.isfinite(errors.heading)
         nees = float(np.mean(track.nees(errors)["heading"][rows]))
-        s0 = zero_frequency(models[name]) / level if name in models else 1.0
+        s0 = 0.5 * models[name].spectrum(0.0, 1.0) / level if name in models else 1.0
         scores[name] = Score(s0, float(np.mean(errors.heading[rows] ** 2)), nees)
     return scores
 
@@ -216,7 +216,7 @@ def axes_run(job: tuple[str, str, int]) -> list[tuple[float, float]]:
         found = nf.Arma(ar=tuple(model.ar), ma=tuple(model.ma), sd=model.sd)
         factor = np.abs(np.log(spectrum(found, channel.period_s, freq) / spectrum(true, channel.period_s, freq)))
         figures.append(
-            (zero_frequency(model) / block_level(true.block(channel.period_s)), math.exp(float(factor.max())))
+            (0.5 * model.spectrum(0.0, 1.0) / block_level(true.block(channel.period_s)), math.exp(float(factor.max())))
         )
     return figures
 

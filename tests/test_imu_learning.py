@@ -13,7 +13,6 @@ from feeding import DRIVE, delayed, events_of, in_blocks, one_by_one
 import navfilter as nf
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
-from navfilter.learning.arma_fit import zero_frequency
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.model_reduction import hand_over
 from navfilter.learning.schedule import LearningSchedule
@@ -177,7 +176,7 @@ def test_known_white_noise_beside_is_not_learnt_again():
         assert model.parts[0] == white
         assert learnt.sd == pytest.approx(3e-4, rel=0.15)
         # S(0) of 40 s with a correlation time of 0.2 s is known to about a quarter, and says so
-        level = math.log(zero_frequency(learnt) / (3e-4 / 0.05) ** 2)
+        level = math.log(0.5 * learnt.spectrum(0.0, 1.0) / (3e-4 / 0.05) ** 2)
         assert 0.1 < learnt.sd_log_s0 < 0.4 and abs(level) < 3.0 * learnt.sd_log_s0
 
 
@@ -551,7 +550,7 @@ def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noi
     white, sd = GYRO_SD * math.sqrt(PERIOD_S), 4e-4
     for model in (ArmaModel([], [], GYRO_SD), ArmaModel([-0.6], [], sd), ArmaModel([0.6], [0.3], sd)):
         learnt = WALK + nf.LearnedArma(model=model)
-        plain = WALK + nf.White(density=math.sqrt(zero_frequency(model) * PERIOD_S))
+        plain = WALK + nf.White(density=math.sqrt(0.5 * model.spectrum(0.0, 1.0) * PERIOD_S))
         for one, two in zip(drifts(learnt), drifts(plain), strict=True):
             np.testing.assert_allclose(one.density, two.density, rtol=1e-12)
             np.testing.assert_allclose(one.start_sd, two.start_sd, rtol=1e-12)

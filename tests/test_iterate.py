@@ -12,7 +12,6 @@ import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learning.arma_fit import zero_frequency
 from navfilter.learning.axis_learner import Learner
 from navfilter.learning.batch import change
 from navfilter.models.error_models import block_level
@@ -205,7 +204,7 @@ def from_smoothed_residuals(seed, passes=2):
         residual = wrap(stream.value[keep, 0] - heading)
         fit = Learner(ORDERS, residual.size, Drift((), PERIOD_S)).hop(residual - residual.mean()).model
         now = LearnedArma(model=fit, frozen=True)
-    return zero_frequency(fit)
+    return 0.5 * fit.spectrum(0.0, 1.0)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

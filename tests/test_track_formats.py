@@ -56,8 +56,8 @@ def test_csv_has_utc_beside_the_mission_time(tmp_path):
 
 
 def test_csv_in_pieces_is_that_in_one(tmp_path, monkeypatch):
+    from navfilter.foundation.atomic_files import pieces
     from navfilter.io.tracks import table
-    from navfilter.io.tracks.atomic_files import pieces
 
     _, track = run()
     whole = nf.write_track(track, tmp_path / "whole.csv").read_bytes()
@@ -194,8 +194,8 @@ def test_sbet_motion_leads_from_each_row_to_the_next(tmp_path):
 
 
 def test_sbet_in_pieces_is_that_in_one(tmp_path, monkeypatch):
+    from navfilter.foundation.atomic_files import pieces
     from navfilter.io.tracks import sbet as module
-    from navfilter.io.tracks.atomic_files import pieces
 
     _, track = run()
     whole = nf.write_track(track, tmp_path / "whole.sbet").read_bytes()

@@ -15,7 +15,7 @@ import numpy as np
 from navfilter.evaluation.adaptive import RULES, adaptive_monitor, as_white
 from navfilter.foundation.arrays import Array
 from navfilter.learning.open_loop_series import ChannelSeries
-from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White, sum_of
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, RandomWalk, White, sum_of
 from navfilter.models.learned_arma import LearnedArma, known_white, learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
@@ -27,7 +27,6 @@ from navfilter.track.track import Track
 
 __all__ = ["LEAST"]
 
-Errors = ErrorModel | tuple[ErrorModel, ...]
 Series = Mapping[str, tuple[ChannelSeries, ...]]
 
 #: Kinds of error models that can be compared.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from navfilter.evaluation.consistency import figures_of
+from navfilter.evaluation.consistency import Windows, figures_of
 from navfilter.filter.records import Residuals
 from navfilter.foundation.arguments import intervals, needs, within
 from navfilter.foundation.arrays import Array
@@ -22,7 +22,6 @@ from navfilter.track.track import Track, Tracks
 
 if TYPE_CHECKING:
     import pandas as pd
-Windows = tuple[tuple[float, float], ...]
 
 #: Rows of the table that need a truth: name, key, format, whether a ratio to the baseline makes sense.
 _ROWS = (

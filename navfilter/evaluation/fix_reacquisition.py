@@ -64,9 +64,8 @@ class Surfacing:
         share = f", {self.percent:.2f} % of {self.distance_m:.0f} m" if self.percent < 100.0 else ""
         where = "inside the 95 % range" if self.inside else "outside the 95 % range"
         return (
-            f"{self.sensor} at {self.time_s:.0f} s, after {self.without_s:.0f} s without: "
-            f"{self.error_m:.2f} m off{share}; predicted sd {self.sd_m:.2f} m, {where}"
-            f"{'' if self.used else ', rejected'}"
+            f"{self.sensor} at {self.time_s:.0f} s, after {self.without_s:.0f} s without: {self.error_m:.2f} m "
+            f"off{share}; predicted sd {self.sd_m:.2f} m, {where}{'' if self.used else ', rejected'}"
         )
 
 

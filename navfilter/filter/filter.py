@@ -24,7 +24,7 @@ from navfilter.filter.events import (
     SamplesUsed,
     StateTransformed,
 )
-from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
+from navfilter.filter.filter_memory import COUNTED, FilterMemory
 from navfilter.filter.imu_intake import ImuIntake
 from navfilter.filter.model_change import Adoption, Change, adoption, handover
 from navfilter.filter.monitor import Actions, Monitor
@@ -36,7 +36,7 @@ from navfilter.kernels import batch, consistency, fault_bank, kalman, measuremen
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address
 from navfilter.models.during import instrument
-from navfilter.models.error_models import per_axis
+from navfilter.models.error_models import Errors, per_axis
 from navfilter.models.fault_bias import described, has_description, offset_states, with_the_same_offsets
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.mechanisation import Mechanisation

@@ -10,9 +10,8 @@ import numpy as np
 from navfilter.filter.imu_intake import ImuIntakeMemory
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import strapdown
-from navfilter.models.error_models import ErrorModel
+from navfilter.models.error_models import Errors
 
-Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted, beside what the monitor counts.
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),

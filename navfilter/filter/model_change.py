@@ -10,13 +10,10 @@ import numpy as np
 from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.arrays import Array
 from navfilter.models.during import shared
-from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, joined_block
+from navfilter.models.error_models import ErrorModel, Errors, RandomWalk, Sum, joined_block
 from navfilter.models.learned_arma import LearnedArma, register_block, register_labels
 from navfilter.models.vehicle import Vehicle
 from navfilter.timeseries.model import ArmaModel
-
-Errors = ErrorModel | tuple[ErrorModel, ...]
-
 
 #: A variance that many times as large is beyond three standard deviations [1] (derived).
 BEYOND = 9.0

@@ -124,8 +124,7 @@ def condition(
         x, begin = x[first : first + max_samples], begin + first / rate
         notes.append(
             f"the model is fitted to the middle {max_samples} of {whole.size} samples ({begin:.6g} to "
-            f"{begin + x.size / rate:.6g} s); "
-            "choose others with --from-s, --to-s, --decimate or --max-samples"
+            f"{begin + x.size / rate:.6g} s); choose others with --from-s, --to-s, --decimate or --max-samples"
         )
     if seasonal_lag:
         if x.size <= seasonal_lag + LEAST_SAMPLES:

@@ -48,8 +48,7 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
     if found.table is not None and found.table.bic.size > 1:
         caption = (
             "Criteria over the order: AIC and BIC above their smallest value (squares), and the thesis's all-lag "
-            "whiteness measure WT, "
-            f"which is {WT_WHITE} on average for white noise. The chosen order carries a cross."
+            f"whiteness measure WT, which is {WT_WHITE} on average for white noise. The chosen order carries a cross."
         )
         yield "orders", "Order", caption, order_figure(found)
     verdict = "white" if found.tests.is_white else "not white"

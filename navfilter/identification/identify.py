@@ -283,8 +283,7 @@ def _remarks(
     if drift is not None:
         remarks.append(
             f"beyond {drift:.3g} s the whole record wanders more than the model (Allan deviation): a slow drift that "
-            "the fitted "
-            "samples do not show. Use --decimate, or add a RandomWalk"
+            "the fitted samples do not show. Use --decimate, or add a RandomWalk"
         )
     return remarks
 

@@ -12,7 +12,6 @@ import numpy as np
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR, STANDARD_GRAVITY
 from navfilter.foundation.quoting import json_value, one_line
 from navfilter.identification.noise_sheet import AllanCurve, AxisSheet, NoiseSheet
-from navfilter.identification.noise_terms import NoiseFit
 from navfilter.rendering.page import table_text
 
 _DEG = 180.0 / math.pi
@@ -257,7 +256,8 @@ def _axis_dict(axis: AxisSheet) -> dict[str, Any]:
     }  # fmt: skip
     found |= {
         "nyquist_ratio": axis.sheet.ratio, "fitted_to_hz": axis.sheet.highest_hz,
-        "dispersion": axis.sheet.dispersion, "step": axis.step, "drive": _terms(axis.drive),
+        "dispersion": axis.sheet.dispersion, "step": axis.step,
+        "drive": [dataclasses.asdict(term) for term in axis.drive.terms],
         "lines": [dataclasses.asdict(line) for line in axis.lines],
         "allan": dataclasses.asdict(axis.allan), "notes": list(axis.notes),
     }  # fmt: skip
@@ -270,7 +270,3 @@ def _figure(axis: AxisSheet, key: str) -> tuple[float, float, float]:
         return axis.quantisation, axis.quantisation_sd, math.nan
     term = axis.sheet.term(key)
     return (term.size, term.sd, math.nan) if term else (math.nan, math.nan, axis.limits.get(key, math.nan))
-
-
-def _terms(fit: NoiseFit) -> list[dict[str, Any]]:
-    return [dataclasses.asdict(term) for term in fit.terms]

@@ -107,8 +107,3 @@ def plane_from_n(place: Array, origin: Origin) -> Array:
     """Matrices (n, 3, 3) that take north, east, down at each place to the plane's axes."""
     plane = ENU @ ned_axes(np.array([origin[0]]), np.array([origin[1]]))[0]
     return plane @ np.swapaxes(ned_axes(place[:, 0], place[:, 1]), 1, 2)
-
-
-def plane_from_body(place: Array, attitude: Array, origin: Origin) -> Array:
-    """Matrices (n, 3, 3) that take the body (forward, right, down) to the plane's axes."""
-    return plane_from_n(place, origin) @ matrix_from_euler(*attitude.T)

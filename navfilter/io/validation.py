@@ -311,7 +311,7 @@ def _types_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[Any]:
                 fields = {field.alias or name: field for name, field in t.model_fields.items()}
                 if part in fields:
                     stepped += _alternatives(fields[str(part)].annotation)
-                elif not _is_tagged(t) or part in _tags(t):
+                elif not (tags := _tags(t)) or part in tags:
                     stepped.append(t)
             elif typing.get_origin(t) in (dict, list, tuple):
                 arguments = [a for a in typing.get_args(t) if a is not Ellipsis]
@@ -337,10 +337,6 @@ def _tags(model: type[BaseModel]) -> tuple[object, ...]:
         if typing.get_origin(field.annotation) is typing.Literal and field.is_required()
         for tag in typing.get_args(field.annotation)
     )
-
-
-def _is_tagged(model: type[BaseModel]) -> bool:
-    return bool(_tags(model))
 
 
 def _alternatives(annotation: Any) -> list[Any]:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from navfilter.foundation import utc
+from navfilter.foundation.atomic_files import replacing
 from navfilter.foundation.quoting import json_value
 from navfilter.io.learned_toml import write_learned
-from navfilter.io.tracks.atomic_files import replacing
 from navfilter.io.tracks.formats import FORMATS, write_track
 from navfilter.io.tracks.tum import write_truth
 from navfilter.models.during import is_alias

@@ -123,6 +123,28 @@ def shift_gram(x, y, first, G):
 
 
 @njit(cache=True, nogil=True)
+def matrix_product(A, B, out):
+    """A B, of square matrices, into `out`."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            s = 0.0
+            for k in range(A.shape[0]):
+                s += A[i, k] * B[k, j]
+            out[i, j] = s
+
+
+@njit(cache=True, nogil=True)
+def matrix_product_transposed(A, B, out):
+    """A B' into `out`."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            s = 0.0
+            for k in range(A.shape[0]):
+                s += A[i, k] * B[j, k]
+            out[i, j] = s
+
+
+@njit(cache=True, nogil=True)
 def lyapunov(M, Q, rounds, P):
     """Sum ``P = Q + M Q M' + ...`` by doubling, at most 2^rounds terms.
 
@@ -136,38 +158,21 @@ def lyapunov(M, Q, rounds, P):
         for j in range(n):
             P[i, j] = Q[i, j]
     for _ in range(rounds):
-        _matmul(A, P, T)
+        matrix_product(A, P, T)
+        matrix_product_transposed(T, A, B)
         worst = 0.0
         top = 0.0
         for i in range(n):
             for j in range(n):
-                s = 0.0
-                for k in range(n):
-                    s += T[i, k] * A[j, k]
-                B[i, j] = s
-                worst = max(worst, abs(s))
+                worst = max(worst, abs(B[i, j]))
                 top = max(top, abs(P[i, j]))
-        for i in range(n):
-            for j in range(n):
                 P[i, j] += B[i, j]
         if not worst > 1e-17 * top:
             break
-        _matmul(A, A, T)
+        matrix_product(A, A, T)
         for i in range(n):
             for j in range(n):
                 A[i, j] = T[i, j]
-
-
-@njit(cache=True, nogil=True)
-def _matmul(A, B, out):
-    n = A.shape[0]
-    for i in range(n):
-        for j in range(n):
-            out[i, j] = 0.0
-        for k in range(n):
-            f = A[i, k]
-            for j in range(n):
-                out[i, j] += f * B[k, j]
 
 
 @njit(apart=True, cache=True, nogil=True)
@@ -356,6 +361,16 @@ def _covariance_step(P, T, K, a, c, missing):
 
 
 @njit(cache=True, nogil=True)
+def _lengthen(ar, m, k):
+    """One coefficient more than the first m, by the reflection coefficient k (Levinson)."""
+    for i in range((m + 1) // 2):
+        left, right = ar[i], ar[m - 1 - i]
+        ar[i] = left + k * right
+        ar[m - 1 - i] = right + k * left
+    ar[m] = k
+
+
+@njit(cache=True, nogil=True)
 def levinson(gamma, ar, pacf):
     """Levinson-Durbin: AR coefficients and partial autocorrelations from autocovariances; returns sd^2."""
     n = ar.size
@@ -366,11 +381,7 @@ def levinson(gamma, ar, pacf):
             s += ar[i] * gamma[m - i]
         k = -s / v if v > 0.0 else 0.0
         pacf[m] = -k
-        for i in range((m + 1) // 2):
-            left, right = ar[i], ar[m - 1 - i]
-            ar[i] = left + k * right
-            ar[m - 1 - i] = right + k * left
-        ar[m] = k
+        _lengthen(ar, m, k)
         v *= 1.0 - k * k
     return v
 
@@ -395,10 +406,6 @@ def burg_recursion(x, ar):
             ft, bt = f[t], b[t - 1]
             f[t] = ft + k * bt
             b[t] = bt + k * ft
-        for i in range((m + 1) // 2):
-            left, right = ar[i], ar[m - 1 - i]
-            ar[i] = left + k * right
-            ar[m - 1 - i] = right + k * left
-        ar[m] = k
+        _lengthen(ar, m, k)
         v *= 1.0 - k * k
     return v

@@ -23,21 +23,12 @@ import math
 
 import numpy as np
 from numba import types
-from numba.core import cgutils
 
 from navfilter.kernels import arma_fit
-from navfilter.kernels.compiling.decorators import apart, njit
-from navfilter.kernels.compiling.registers import LANES
-from navfilter.kernels.compiling.registers import all_of as _all_of
-from navfilter.kernels.compiling.registers import call as _call
-from navfilter.kernels.compiling.registers import compiled as _compiled
-from navfilter.kernels.compiling.registers import lanes as _lanes
-from navfilter.kernels.compiling.registers import load as _load
-from navfilter.kernels.compiling.registers import magnitude as _magnitude
-from navfilter.kernels.compiling.registers import store as _store
+from navfilter.kernels.compiling.decorators import UNCOUNTED, njit
+from navfilter.kernels.compiling.registers import LANES, all_of, call, compiled, lanes, load, magnitude, store
 from navfilter.kernels.compiling.vectors import Written, write_out
 
-UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
 TRANSITION, NOISE, START = 0, 1, 2
 # Of a slow part: over one tick, by its correlation time [s]; ln of the unit; what is believed of ln sd and ln tau.
@@ -62,7 +53,6 @@ COST, GAIN, TOLD = range(3)
 # the usual ones of a learner.
 SHAPES = [(d, s, m) for d in (2, 3) for s, most in ((1, 4), (2, 2)) for m in range(most + 1)]
 NUMBERS = np.array([100 * d + 10 * s + m for d, s, m in SHAPES])
-_ir = cgutils.ir
 
 
 def _root(u):
@@ -85,16 +75,15 @@ def _compile_all():
     for function, name in ((_root, "sqrt"), (_smaller, "minnum"), (_larger, "maxnum")):
         count = function.__code__.co_argcount
 
-        @_compiled(function, _lanes, *[_lanes] * count)
+        @compiled(function, lanes, *[lanes] * count)
         def build_function(context, builder, kinds, arguments, name=name):
-            return _call(builder, name, *arguments)
+            return call(builder, name, *arguments)
 
 
 _compile_all()
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def stationary(a, c, P):
     """Stationary covariance of the observer state for unit innovations into `P`, by doubling; False if there is
     none.
@@ -112,8 +101,8 @@ def stationary(a, c, P):
     for _ in range(60):
         worst = 0.0
         top = 0.0
-        matrix_product(A, P, T)
-        matrix_product_transposed(T, A, B)
+        arma_fit.matrix_product(A, P, T)
+        arma_fit.matrix_product_transposed(T, A, B)
         for i in range(m):
             for j in range(m):
                 if not abs(B[i, j]) < 1e300:
@@ -123,49 +112,27 @@ def stationary(a, c, P):
                 top = max(top, abs(P[i, j]))
         if not worst > 1e-17 * top:
             return True
-        matrix_product(A, A, T)
+        arma_fit.matrix_product(A, A, T)
         for i in range(m):
             for j in range(m):
                 A[i, j] = T[i, j]
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def matrix_product(A, B, out):
-    """A B, of square matrices, into `out`."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            s = 0.0
-            for k in range(A.shape[0]):
-                s += A[i, k] * B[k, j]
-            out[i, j] = s
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def matrix_product_transposed(A, B, out):
-    """A B' into `out`."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            s = 0.0
-            for k in range(A.shape[0]):
-                s += A[i, k] * B[j, k]
-            out[i, j] = s
-
-
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _move(x, at, U, used, a, r, m):
     """``x = F x`` in place, for the rows from `at` on: the chain advances one tick, the observer state shifts."""
     for i in range(r):
-        s = _load(x, at + i) * _load(U, i * r + i)
+        s = load(x, at + i) * load(U, i * r + i)
         for k in range(i + 1, r):
             if used[0, i, k]:
-                s = s + _load(U, i * r + k) * _load(x, at + k)
-        _store(x, at + i, s)
+                s = s + load(U, i * r + k) * load(x, at + k)
+        store(x, at + i, s)
     if m > 0:
-        first = _load(x, at + r)
+        first = load(x, at + r)
         for i in range(m - 1):
-            _store(x, at + r + i, _load(x, at + r + i + 1) - _load(a, i) * first)
-        _store(x, at + r + m - 1, _all_of(0.0) - _load(a, m - 1) * first)
+            store(x, at + r + i, load(x, at + r + i + 1) - load(a, i) * first)
+        store(x, at + r + m - 1, all_of(0.0) - load(a, m - 1) * first)
 
 
 def _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, high, low, r, m):
@@ -175,88 +142,88 @@ def _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, h
     triangle; a weight of 0 is a tick without a reading. Row 0 of `noted` is v in standard deviations, row 1 its
     variance S.
     """
-    n, last, zero = r + m, r + m - 1, _all_of(0.0)
-    variance, z = _load(noise, 0), y
+    n, last, zero = r + m, r + m - 1, all_of(0.0)
+    variance, z = load(noise, 0), y
     for i in range(n):
         s = zero
         if m > 0:
-            s = _load(P, i * n + r if i <= r else r * n + i)
+            s = load(P, i * n + r if i <= r else r * n + i)
         for k in range(r):
             if sees[k] != 0.0:
-                s = s + _all_of(sees[k]) * _load(P, i * n + k if i <= k else k * n + i)
-        _store(L, i, s)
+                s = s + all_of(sees[k]) * load(P, i * n + k if i <= k else k * n + i)
+        store(L, i, s)
         if i == r:
-            variance, z = variance + s, z - _load(x, i)
+            variance, z = variance + s, z - load(x, i)
         elif i < r and sees[i] != 0.0:
-            variance, z = variance + _all_of(sees[i]) * s, z - _all_of(sees[i]) * _load(x, i)
+            variance, z = variance + all_of(sees[i]) * s, z - all_of(sees[i]) * load(x, i)
     inverse, root = weight / variance, _root(variance)
     z = z * root * inverse
-    _store(noted, 0, z)
-    _store(noted, 1, variance)
+    store(noted, 0, z)
+    store(noted, 1, variance)
     push = _larger(_smaller(z, high), low) * root
     for i in range(r):
-        s, moved = _load(L, i), _load(x, i)
+        s, moved = load(L, i), load(x, i)
         if used[0, i, i]:
-            s, moved = s * _load(U, i * r + i), moved * _load(U, i * r + i)
+            s, moved = s * load(U, i * r + i), moved * load(U, i * r + i)
         for k in range(i + 1, r):
             if used[0, i, k]:
-                s, moved = s + _load(U, i * r + k) * _load(L, k), moved + _load(U, i * r + k) * _load(x, k)
-        _store(L, i, s)
-        _store(K, i, s * inverse)
-        _store(x, i, moved + s * inverse * push)
-    top, before = _load(L, r % n), _load(x, r % n)
+                s, moved = s + load(U, i * r + k) * load(L, k), moved + load(U, i * r + k) * load(x, k)
+        store(L, i, s)
+        store(K, i, s * inverse)
+        store(x, i, moved + s * inverse * push)
+    top, before = load(L, r % n), load(x, r % n)
     for i in range(r, n):
         s, moved = zero, zero
         if i < last:
-            s, moved = _load(L, i + 1), _load(x, i + 1)
-        s, moved = s - _load(a, i - r) * top + _load(g, i - r), moved - _load(a, i - r) * before
-        _store(L, i, s)
-        _store(K, i, s * inverse)
-        _store(x, i, moved + s * inverse * push)
+            s, moved = load(L, i + 1), load(x, i + 1)
+        s, moved = s - load(a, i - r) * top + load(g, i - r), moved - load(a, i - r) * before
+        store(L, i, s)
+        store(K, i, s * inverse)
+        store(x, i, moved + s * inverse * push)
     # the chain, row by row: each becomes itself and later ones
     for i in range(r):
         if used[0, i, i]:
-            u = _load(U, i * r + i)
-            _store(P, i * n + i, _load(P, i * n + i) * u)
+            u = load(U, i * r + i)
+            store(P, i * n + i, load(P, i * n + i) * u)
             for j in range(i):
-                _store(P, j * n + i, _load(P, j * n + i) * u)
+                store(P, j * n + i, load(P, j * n + i) * u)
             for j in range(i, n):
-                _store(P, i * n + j, _load(P, i * n + j) * u)
+                store(P, i * n + j, load(P, i * n + j) * u)
         for k in range(i + 1, r):
             if used[0, i, k]:
-                u, cross = _load(U, i * r + k), _load(P, i * n + k)
-                _store(P, i * n + i, _load(P, i * n + i) + u * (cross + cross + u * _load(P, k * n + k)))
+                u, cross = load(U, i * r + k), load(P, i * n + k)
+                store(P, i * n + i, load(P, i * n + i) + u * (cross + cross + u * load(P, k * n + k)))
                 for j in range(i):
-                    _store(P, j * n + i, _load(P, j * n + i) + u * _load(P, j * n + k))
+                    store(P, j * n + i, load(P, j * n + i) + u * load(P, j * n + k))
                 for j in range(i + 1, k):
-                    _store(P, i * n + j, _load(P, i * n + j) + u * _load(P, j * n + k))
+                    store(P, i * n + j, load(P, i * n + j) + u * load(P, j * n + k))
                 for j in range(k, n):
-                    _store(P, i * n + j, _load(P, i * n + j) + u * _load(P, k * n + j))
+                    store(P, i * n + j, load(P, i * n + j) + u * load(P, k * n + j))
     for i in range(r):
-        row, k = i * n, _load(K, i)
+        row, k = i * n, load(K, i)
         for j in range(i, r):
-            s = _load(P, row + j) - k * _load(L, j)
+            s = load(P, row + j) - k * load(L, j)
             if used[1, i, j]:
-                s = s + _load(Q, row + j)
-            _store(P, row + j, s)
-        top = _load(P, row + r % n)
+                s = s + load(Q, row + j)
+            store(P, row + j, s)
+        top = load(P, row + r % n)
         for j in range(r, n):
             s = zero
             if j < last:
-                s = _load(P, row + j + 1)
-            _store(P, row + j, s - _load(a, j - r) * top - k * _load(L, j))
+                s = load(P, row + j + 1)
+            store(P, row + j, s - load(a, j - r) * top - k * load(L, j))
     for j in range(m):
-        _store(corner, j, _load(P, r * n + r + j))
+        store(corner, j, load(P, r * n + r + j))
     for i in range(m):
-        row, k, ai = (r + i) * n + r, _load(K, r + i), _load(a, i)
-        before = zero - ai * _load(corner, 0)
+        row, k, ai = (r + i) * n + r, load(K, r + i), load(a, i)
+        before = zero - ai * load(corner, 0)
         if i < m - 1:
-            before = before + _load(corner, i + 1)
+            before = before + load(corner, i + 1)
         for j in range(i, m):
-            s = _load(Q, row + j) - k * _load(L, r + j) - _load(a, j) * before
+            s = load(Q, row + j) - k * load(L, r + j) - load(a, j) * before
             if j < m - 1:
-                s = s - ai * _load(corner, j + 1) + _load(P, row + n + j + 1)
-            _store(P, row + j, s)
+                s = s - ai * load(corner, j + 1) + load(P, row + n + j + 1)
+            store(P, row + j, s)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -300,12 +267,11 @@ def _write_tick(shape, rows, numbers, fresh):
     _tick(P, x, fresh(), K, U, Q, used, sees, a, g, noise, fresh(), noted, y, weight, high, low, d + s, m)
 
 
-write_out(_tick_in_a_row, _write_tick, NUMBERS.tolist(), [types.Array] * 9, [_lanes] * 3)
+write_out(_tick_in_a_row, _write_tick, NUMBERS.tolist(), [types.Array] * 9, [lanes] * 3)
 _tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(_tick)
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def _set_up(thetas, chains, begin, rules, starts, U, used, a, g, Q, start, noise, able):
     """The models from `begin` on in lanes; those behind the last repeat it, those without a stationary start are not
     `able`. Where none starts, what a start wants is not worked out.
@@ -337,8 +303,7 @@ def _set_up(thetas, chains, begin, rules, starts, U, used, a, g, Q, start, noise
                 used[1, i, j] = used[1, i, j] or chain[NOISE, i, j] != 0.0
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _through(y, sees, rules, first, shape, group, E, V, model, state, past, sums):
     """The loop of `channel_filter`, where nothing is allocated: with references to arrays counted it takes a sixth
     longer. It goes on from `past`: how many samples are missing up to here, and how many the segment holds. Adds what
@@ -350,7 +315,7 @@ def _through(y, sees, rules, first, shape, group, E, V, model, state, past, sums
     r, m = sees.size, a.shape[0]
     n, d, longest, groups = r + m, int(rules[DIFFUSE]), int(rules[LONGEST_GAP]), E.shape[1] // LANES
     wanted = E.size > 0 and group < groups
-    limit, half = _all_of(rules[CLIP]), _all_of(0.5)
+    limit, half = all_of(rules[CLIP]), all_of(0.5)
     missing, known, counted = past[0], past[1], 0
     for t in range(y.size):
         seen = not math.isnan(y[t])
@@ -362,47 +327,47 @@ def _through(y, sees, rules, first, shape, group, E, V, model, state, past, sums
         else:
             missing += 1
         if wanted and (known < d or not seen):
-            _store(E, t * groups + group, _all_of(math.nan))
-            _store(V, t * groups + group, _all_of(1.0))
+            store(E, t * groups + group, all_of(math.nan))
+            store(V, t * groups + group, all_of(1.0))
         if missing > longest:
             continue
-        weight, value = _all_of(1.0 if seen else 0.0), _all_of(y[t] if seen else 0.0)
+        weight, value = all_of(1.0 if seen else 0.0), all_of(y[t] if seen else 0.0)
         # a diffuse state is not known yet: any innovation is ordinary
-        high = limit if known >= d else _all_of(math.inf)
+        high = limit if known >= d else all_of(math.inf)
         if shape < 0:
-            low = _all_of(0.0) - high
+            low = all_of(0.0) - high
             _tick_by_loops(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, value, weight, high, low, r, m)
         else:
             _tick_in_a_row(shape, P, x, K, U, Q, a, g, noise, noted, value, weight, high)
         if seen and known >= d:
-            z, variance = _load(noted, 0), _load(noted, 1)
+            z, variance = load(noted, 0), load(noted, 1)
             if wanted:
-                _store(E, t * groups + group, z)
-                _store(V, t * groups + group, variance)
+                store(E, t * groups + group, z)
+                store(V, t * groups + group, variance)
             if t >= first:
-                size = _magnitude(z)
+                size = magnitude(z)
                 short = _smaller(size, limit)
-                _store(total, 0, _load(total, 0) + short * (size - half * short))
-                _store(product, 0, _load(product, 0) * variance)
+                store(total, 0, load(total, 0) + short * (size - half * short))
+                store(product, 0, load(product, 0) * variance)
                 counted += 1
                 if counted % TOGETHER == 0:
                     _take_logarithms(product, total)
         if known < d:
-            inverse = weight / _root(_load(noted, 1))
+            inverse = weight / _root(load(noted, 1))
             for k in range(d):
-                by = _all_of(0.0)
+                by = all_of(0.0)
                 if m > 0:
-                    by = _load(A, k * n + r)
+                    by = load(A, k * n + r)
                 for i in range(r):
                     if sees[i] != 0.0:
-                        by = by + _all_of(sees[i]) * _load(A, k * n + i)
+                        by = by + all_of(sees[i]) * load(A, k * n + i)
                 _move(A, k * n, U, used, a, r, m)
                 for i in range(n):
-                    _store(A, k * n + i, _load(A, k * n + i) - _load(K, i) * by)
+                    store(A, k * n + i, load(A, k * n + i) - load(K, i) * by)
                 if seen:
-                    _store(X, known * d + k, by * inverse)
+                    store(X, known * d + k, by * inverse)
             if seen:
-                _store(w, known, _load(noted, 0))
+                store(w, known, load(noted, 0))
                 if known == d - 1:
                     _collapse(X, w, A, x, P, n, d, spare)
         if seen:
@@ -411,8 +376,7 @@ def _through(y, sees, rules, first, shape, group, E, V, model, state, past, sums
     return counted
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
     """Minus the log-likelihood of several models into `values` (K,): of the samples from `first` on, given those
     before. Innovations in standard deviations and their variances go into `E` and `V` (N, a multiple of `LANES`), of as
@@ -441,28 +405,26 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
         used[:] = False
         past[0], past[1] = int(rules[LONGEST_GAP]) + 1, 0
         _set_up(thetas, chains, begin, rules, values.size > 0, U, used, a, g, Q, start, noise, able)
-        _store(total, 0, _all_of(0.0))
-        _store(product, 0, _all_of(1.0))
+        store(total, 0, all_of(0.0))
+        store(product, 0, all_of(1.0))
         counted = _through(y, sees, rules, first, _shape(used, sees, m), group, E, V, model, state, past, sums)
         for k in range(begin, min(begin + LANES, values.size)):
             value = total[0, k - begin] + 0.5 * math.log(product[0, k - begin]) + counted * HALF_LOG_2PI
             values[k] = value if able[k - begin] and value < math.inf else math.inf
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _begin(P, x, A, start, n, d):
     """The state at the start of a segment: the chain diffuse (columns of A) or as known, the ARMA error stationary."""
     for i in range(n * n):
-        _store(P, i, _load(start, i))
+        store(P, i, load(start, i))
     for i in range(n):
-        _store(x, i, _all_of(0.0))
+        store(x, i, all_of(0.0))
     for i in range(d * n):
-        _store(A, i, _all_of(1.0 if i % (n + 1) == 0 else 0.0))
+        store(A, i, all_of(1.0 if i % (n + 1) == 0 else 0.0))
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _take_logarithms(product, total):
     """Of products of variances that have become large or small half the logarithm is added to the sums, and they begin
     anew.
@@ -473,8 +435,7 @@ def _take_logarithms(product, total):
             product[0, k] = 1.0
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
+@njit(apart=True, cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _collapse(XS, WS, AS, xs, PS, n, d, spare):
     """End of a diffuse start: the states given the first d samples (de Jong 1991), model by model."""
     X, A = spare
@@ -514,8 +475,7 @@ def _collapse(XS, WS, AS, xs, PS, n, d, spare):
                     PS[i * n + j, lane] += A[i, k] * A[j, k]
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def channel_scores(E, V, steps, clip, info, gradient):
     """Gradient of minus the log-likelihood and the Fisher information, from what `channel_filter` has noted: in lane 0
     of a model, in the others of those with one of its k parameters moved by ``steps[i]``.
@@ -529,32 +489,32 @@ def channel_scores(E, V, steps, clip, info, gradient):
     sums, turn = np.zeros((2 * k, groups * LANES)), np.zeros((2 * STRETCH, groups * LANES))
     for i in range(k):
         per[i + 1] = 1.0 / steps[i]
-    half = _all_of(0.5)
+    half = all_of(0.5)
     for begin in range(0, E.shape[0], STRETCH):
         count = 0
         for t in range(begin, min(begin + STRETCH, E.shape[0])):
             z, variance = E[t, 0], V[t, 0]
             if math.isnan(z):
                 continue
-            clipped, halved, relative = _all_of(min(max(z, -clip), clip)), _all_of(0.5 * z), _all_of(1.0 / variance)
+            clipped, halved, relative = all_of(min(max(z, -clip), clip)), all_of(0.5 * z), all_of(1.0 / variance)
             for group in range(groups):
-                row, rate = t * groups + group, _load(per, group)
-                by_s = (_load(V, row) - _all_of(variance)) * (rate * relative)
-                by_z = (_load(E, row) - _all_of(z)) * rate
-                _store(slopes, group, _load(slopes, group) + clipped * by_z + half * by_s)
-                _store(turn, 2 * count * groups + group, by_z + halved * by_s)
-                _store(turn, (2 * count + 1) * groups + group, by_s)
+                row, rate = t * groups + group, load(per, group)
+                by_s = (load(V, row) - all_of(variance)) * (rate * relative)
+                by_z = (load(E, row) - all_of(z)) * rate
+                store(slopes, group, load(slopes, group) + clipped * by_z + half * by_s)
+                store(turn, 2 * count * groups + group, by_z + halved * by_s)
+                store(turn, (2 * count + 1) * groups + group, by_s)
             count += 1
         for i in range(k):
             for group in range(groups):
                 row = 2 * i * groups + group
-                of_v, of_s = _load(sums, row), _load(sums, row + groups)
+                of_v, of_s = load(sums, row), load(sums, row + groups)
                 for c in range(count):
                     at = 2 * c * groups + group
-                    of_v = of_v + _all_of(turn[2 * c, i + 1]) * _load(turn, at)
-                    of_s = of_s + _all_of(0.5 * turn[2 * c + 1, i + 1]) * _load(turn, at + groups)
-                _store(sums, row, of_v)
-                _store(sums, row + groups, of_s)
+                    of_v = of_v + all_of(turn[2 * c, i + 1]) * load(turn, at)
+                    of_s = of_s + all_of(0.5 * turn[2 * c + 1, i + 1]) * load(turn, at + groups)
+                store(sums, row, of_v)
+                store(sums, row + groups, of_s)
     for i in range(k):
         gradient[i] = slopes[i + 1]
         for j in range(k):
@@ -575,8 +535,7 @@ def _integral(k, x, fading):
     return total
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def slow_part(slow, log_sd, log_tau, rate_s, chain):
     """Transition, noise and start of a Gauss-Markov process of order 1 or 2 over one tick into the last rows and
     columns of `chain` (3, r, r): a cascade of first-order ones, driven at its end.
@@ -608,8 +567,7 @@ def _sizes(k, p, slow, drift):
     return fast, max(p, fast - 1 - p), drift.shape[1] + slow
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def _set_models(rows, p, slow, drift, belief, thetas, chains):
     """What `channel_filter` wants to know of the models in `rows`, see `channel_values`; what is zero stays."""
     fast, m, r = _sizes(rows.shape[1], p, slow, drift)
@@ -627,8 +585,7 @@ def _set_models(rows, p, slow, drift, belief, thetas, chains):
             slow_part(slow, rows[n, fast], rows[n, fast + 1], belief[RATE_S], chains[n])
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, values):
     """Minus the log-likelihood of several models, less the log-density of their slow parts, into `values` (K,); see
     `channel_filter`.
@@ -646,8 +603,7 @@ def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, va
         values[n] -= belief[LOG_SHARE] - 0.5 * (off * off + off_tau * off_tau)
 
 
-@apart
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(apart=True, cache=True, nogil=True, error_model="numpy")
 def difference_steps(theta, p, slow, differences, steps):
     """By how much each parameter is moved for its derivative, into `steps`: the first of the differences that leaves a
     stationary start; the last of them is that of a slow part.
@@ -830,8 +786,8 @@ def channel_recursion(
             used[:] = False
             now[0], now[1] = past[0], past[1]
             _set_up(thetas, chains, group * LANES, rules, starts, U, used, a, g, Q, start, noise, able)
-            _store(sums[0], 0, _all_of(0.0))
-            _store(sums[1], 0, _all_of(1.0))
+            store(sums[0], 0, all_of(0.0))
+            store(sums[1], 0, all_of(1.0))
             at = state[group]
             P, x, A = at[: n * n], at[n * n : n * n + n], at[n * n + n : n * n + n + d * n]
             X, w = at[n * n + n + d * n : n * n + n + d * n + d * d], at[n * n + n + d * n + d * d :]

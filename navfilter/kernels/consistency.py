@@ -66,6 +66,19 @@ def arc_term(P, head):
 
 
 @njit(cache=True)
+def _of_square(bend):
+    """Variance of half of what is quadratic in a normal error, mean included; bend (3, 3): its curvature times the
+    covariance.
+    """
+    trace, square = 0.0, 0.0
+    for i in range(3):
+        trace += bend[i, i]
+        for j in range(3):
+            square += bend[i, j] * bend[j, i]
+    return 0.5 * square + 0.25 * trace * trace
+
+
+@njit(cache=True)
 def _sagitta(near, distance, P):
     """Variance of what a distance grows by when its ends move across it, mean included [m^2].
 
@@ -73,18 +86,14 @@ def _sagitta(near, distance, P):
     other [m^2].
     """
     length = math.sqrt(near[0, 0] ** 2 + near[0, 1] ** 2 + near[0, 2] ** 2)
-    by, bend, trace, square = 1.0 / max(length, 1e-12), np.empty((3, 3)), 0.0, 0.0
+    by, bend = 1.0 / max(length, 1e-12), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             s = 0.0
             for r in range(3):
                 s += ((1.0 if i == r else 0.0) - near[0, i] * by * near[0, r] * by) * P[r, j]
             bend[i, j] = s / max(distance, 1e-3)
-    for i in range(3):
-        trace += bend[i, i]
-        for j in range(3):
-            square += bend[i, j] * bend[j, i]
-    return 0.5 * square + 0.25 * trace * trace
+    return _of_square(bend)
 
 
 @njit(cache=True)
@@ -120,18 +129,13 @@ def usbl_second_order(z, near, P, first, cfg, R):
     R[0, 0] += shared * _sagitta(near, distance, P)
     bend = np.empty((3, 3))
     for k in range(1, 3):
-        trace, square = 0.0, 0.0
         for i in range(3):
             for j in range(3):
                 s = 0.0
                 for r in range(3):
                     s += (near[k, i] * near[0, r] + near[0, i] * near[k, r]) * P[r, j]
                 bend[i, j] = s * by / max(distance, 1e-3)
-        for i in range(3):
-            trace += bend[i, i]
-            for j in range(3):
-                square += bend[i, j] * bend[j, i]
-        R[k, k] += shared * (0.5 * square + 0.25 * trace * trace)
+        R[k, k] += shared * _of_square(bend)
 
 
 @njit(cache=True)

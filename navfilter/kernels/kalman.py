@@ -9,11 +9,9 @@ import math
 import numpy as np
 
 from navfilter.kernels import consistency, symmetric
-from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, shaped
+from navfilter.kernels.compiling.decorators import COUNTED, UNCOUNTED, flat, njit, shaped
 from navfilter.kernels.compiling.registers import eight, not_zero
 from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_update, weighted
-
-COUNTED: dict = {"_nrt": True}
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

@@ -204,7 +204,12 @@ def _learn(s, buf, pos, predicted):
 
 
 @njit(cache=True, **OPTIONS)
-def _step(s, buf, x):
+def rml_step(s, buf, x):
+    """One sample through one estimator; True when window work is due. O(n^2), no allocation.
+
+    Recursive prediction error (Soderstrom 1973, Ljung 1977): e = y - phi'theta, K = P psi / (lam + psi'P psi),
+    theta += K e, P = (P - K psi'P) / lam, psi = phi / C; the residual after the step enters phi.
+    """
     p = int(s[HEAD, AR])
     q = int(s[HEAD, MA])
     m = int(s[HEAD, EXOG])
@@ -239,36 +244,13 @@ def _step(s, buf, x):
 
 
 @njit(cache=True, **OPTIONS)
-def rml_step(s, buf, x):
-    """One sample through one estimator; True when window work is due. O(n^2), no allocation.
-
-    Recursive prediction error (Soderstrom 1973, Ljung 1977): e = y - phi'theta, K = P psi / (lam + psi'P psi),
-    theta += K e, P = (P - K psi'P) / lam, psi = phi / C; the residual after the step enters phi.
-    """
-    return _step(s, buf, x)
-
-
-@njit(cache=True, **OPTIONS)
 def rml_run(s, buf, xs, us, start):
     """Samples xs[start:] with regressors us through one estimator until window work is due; returns where it stops."""
     held = int(s[HEAD, AR]) + int(s[HEAD, MA]) + int(s[HEAD, EXOG]) - us.shape[1]
     for i in range(start, xs.size):
         for j in range(us.shape[1]):
             s[PHI, held + j] = us[i, j]
-        if _step(s, buf, xs[i]):
-            return i + 1
-    return xs.size
-
-
-@njit(cache=True, **OPTIONS)
-def bank_run(states, bufs, xs, start):
-    """The same for several estimators with one schedule: states (k, rows, width), bufs (k, rows, L)."""
-    for i in range(start, xs.size):
-        due = False
-        for j in range(states.shape[0]):
-            if _step(states[j], bufs[j], xs[i]):
-                due = True
-        if due:
+        if rml_step(s, buf, xs[i]):
             return i + 1
     return xs.size
 
@@ -278,6 +260,15 @@ def bank_step(states, bufs, x):
     """One sample through several estimators; True when window work is due."""
     due = False
     for j in range(states.shape[0]):
-        if _step(states[j], bufs[j], x):
+        if rml_step(states[j], bufs[j], x):
             due = True
     return due
+
+
+@njit(cache=True, **OPTIONS)
+def bank_run(states, bufs, xs, start):
+    """As `rml_run` for several estimators with one schedule: states (k, rows, width), bufs (k, rows, L)."""
+    for i in range(start, xs.size):
+        if bank_step(states, bufs, xs[i]):
+            return i + 1
+    return xs.size

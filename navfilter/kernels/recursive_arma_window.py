@@ -20,28 +20,8 @@ import math
 
 import numpy as np
 
+from navfilter.kernels import arma_fit
 from navfilter.kernels.compiling.decorators import njit
-
-
-@njit(cache=True, error_model="numpy")
-def _within(c, at, order, radius, w):
-    """Schur-Cohn: are all roots of 1 + c[at] z^-1 + ... inside |z| < radius? NaN answers no."""
-    power = 1.0
-    for i in range(order):
-        power /= radius
-        w[i] = c[at + i] * power
-    for top in range(order - 1, -1, -1):
-        k = w[top]
-        if not abs(k) < 1.0:
-            return False
-        scale = 1.0 / (1.0 - k * k)
-        for i in range((top + 1) // 2):
-            j = top - 1 - i
-            front = w[i]
-            back = w[j]
-            w[i] = (front - k * back) * scale
-            w[j] = (back - k * front) * scale
-    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -273,7 +253,6 @@ def polish(theta, p, buf, span, carry, work, normal, limits):
     n = theta.size
     q = n - p - (buf.shape[0] - 1)
     passes = int(limits[2])
-    scratch = np.empty(max(p, q))
     used = window_pass(theta, p, buf, span, carry, work, normal)
     if n == 0 or used <= n or not normal[n, n] > 0.0:
         return used, 1
@@ -302,7 +281,10 @@ def polish(theta, p, buf, span, carry, work, normal, limits):
         for _ in range(30):
             for i in range(n):
                 trial[i] = theta[i] + share * step[i]
-            if _within(trial, int(0), p, limits[0], scratch) and _within(trial, p, q, limits[1], scratch):
+            if (
+                arma_fit.largest_reflection(trial[:p], limits[0]) < 1.0
+                and arma_fit.largest_reflection(trial[p : p + q], limits[1]) < 1.0
+            ):
                 break
             share *= 0.6
         else:

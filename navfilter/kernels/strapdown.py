@@ -17,11 +17,9 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch
+from navfilter.kernels.compiling.decorators import COUNTED, UNCOUNTED, flat, njit, scratch
 from navfilter.kernels.compiling.registers import all_of, load, store, times
 from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
-
-COUNTED: dict = {"_nrt": True}
 
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
 EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
@@ -416,36 +414,6 @@ def _carry_alone(Z, f):
 build_panels(_carried, _carry_panel, _carry_alone, 34, 9, 6)
 
 
-@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _carry_directly(X, work, C, moving, Phi_ends):
-    """`_inertial_carry` where errors enter plainly, and no constant does: without a call, for each sample has two."""
-    f, size = work[STEP:ROWS], _high(moving) * WIDE
-    if Phi_ends > 0:
-        _carry_alone(X[:size], f)
-    for begin in range(size if Phi_ends > 0 else 0, X.size, size):
-        Z = X[begin : begin + size]
-        _carry_panel(Z, Z[9 * WIDE :], f[0], f, C)
-
-
-@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
-def _carry_constants(X, work, C, seen, moving, Phi_ends):
-    """The same where constants follow the states that move: from one of the panels of the transition on."""
-    size, E, G = _high(moving) * WIDE, work[ROWS:GAINS], work[GAINS + seen.shape[1] :]
-    f, constant = work[STEP:ROWS], moving // WIDE * size
-    _carry_alone(X[:size], f)
-    for begin in range(size, X.size, size):
-        Z, by = X[begin : begin + size], f[0]
-        errors = Z[9 * WIDE :]
-        if constant <= begin < Phi_ends:
-            rows, by = G[6 * (begin // size) * WIDE :], 1.0
-            if begin == constant:
-                for i in range(6):
-                    store(E, i, all_of(f[0]) * load(errors, i) + load(rows, i))
-                rows = E
-            errors = rows
-        _carry_panel(Z, errors, by, f, C)
-
-
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
     """Rows 0 to 8 of X (panels of matrices with a row for each state that moves) from the left by the transition of one
@@ -541,31 +509,22 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, work, both, Q, gathered, moving):
+def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in `work`; the drive's blocks
     tick, and their mean too.
 
-    ticking: whether a tick is diagonal, and whether nothing but noise comes with it; direct: whether panels may go by
-    `_carry_directly`. both: panels of Phi and behind
+    ticking: whether a tick is diagonal, and whether nothing but noise comes with it. both: panels of Phi and behind
     them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
     Phi_ends = both.size - Q.size
     moved = both if gathered else both[:Phi_ends]
-    if direct and moving < 9 + len(xd):
-        _carry_constants(moved, work, C, seen, moving, Phi_ends)
-    elif direct:
-        _carry_directly(moved, work, C, moving, Phi_ends)
-    else:
-        _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
+    _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
     if ticks > 0 and not walks:
         _tick_rows(moved, Phid, diagonal, T, moving)
     if gathered:
         _transpose(Q, moving)
-        if direct:
-            _carry_directly(Q, work, C, moving, int(0))
-        else:
-            _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
+        _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
     for count in range(ticks):
         if count > 0 and not walks:
             _tick_rows(both, Phid, diagonal, T, moving)
@@ -705,9 +664,9 @@ def _to_panels(M, X, m, moving):
     for column in range(0, X.size // high, WIDE):
         begin, known = column * high, min(WIDE, m - column)
         for i in range(moving):
-            copy_row(X, begin + i * WIDE, M, i * m + column, known)
+            copy_row(X, M, begin + i * WIDE, i * m + column, known)
         for i in range(moving, high):
-            copy_row(X, begin + i * WIDE, M, int(0), int(0))
+            copy_row(X, M, begin + i * WIDE, int(0), int(0))
 
 
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
@@ -719,7 +678,7 @@ def _from_panels(X, M, m, moving):
     columns = X.size // high
     for i in range(moving):
         for column in range(0, columns, WIDE):
-            copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
+            copy_row(M, X, i * m + column, column * high + i * WIDE, whole)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -856,7 +815,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     both, Q, work = _workspace(floats, m, moving)
     kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
     _note_calibration(xd, drv)
-    C, inc, direct = drv[MEAN_C : MEAN_C + 9], work[:STEP], kinds[2] and kinds[1] == kinds[3]
+    C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -872,7 +831,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
         _inertial_advance(nav, dt, drv, work)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, direct, work, both, Q, gathered, moving)
+        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving)
         _inertial_noise(dt, drv, Cr, Q, moving)
         gathered = True
         # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
@@ -906,7 +865,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
         _uncalibrated(dt, drv, seen, kinds[1], kinds[0], kinds[3] == kinds[0], work)
     _take_errors_off(inc, xd, dt, seen, kinds, work[GAINS:])
     _inertial_advance(nav, dt, drv, work)
-    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, False, work, both, Q, gathered, moving)
+    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, work, both, Q, gathered, moving)
     _inertial_noise(dt, drv, Cr, Q, moving)
     _from_panels(both[: both.size - Q.size], flat(acc), m, moving)
     _from_panels(Q, flat(acc[m:]), m, moving)

@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 
-from navfilter.kernels import arma_likelihood
+from navfilter.kernels import arma_fit
 from navfilter.kernels.compiling.decorators import njit
 
 
 @njit(cache=True)
 def _moved(A, P, noise, out, work):
     """A P A' and the noise into `out`, which may be P."""
-    arma_likelihood.matrix_product(A, P, work)
-    arma_likelihood.matrix_product_transposed(work, A, out)
+    arma_fit.matrix_product(A, P, work)
+    arma_fit.matrix_product_transposed(work, A, out)
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
             out[i, j] += noise[i, j]
@@ -22,7 +22,7 @@ def _moved(A, P, noise, out, work):
 def _double(A, Q, work):
     """From the transition and noise of one tick, at 0, those of 2, 4, 8 ... ticks: A, Q (k, n, n)."""
     for k in range(1, A.shape[0]):
-        arma_likelihood.matrix_product(A[k - 1], A[k - 1], A[k])
+        arma_fit.matrix_product(A[k - 1], A[k - 1], A[k])
         _moved(A[k - 1], Q[k - 1], Q[k - 1], Q[k], work)
 
 
@@ -48,7 +48,7 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
         sees[i, i], sees[n, i] = 1.0, C[i]
         for j in range(n):
             moves[0, 0, i, j], noises[0, 0, i, j], cov[i, j] = F[i, j], Q[i, j], P[i, j]
-    arma_likelihood.matrix_product(sees, moves[0, 0], moves[1, 0])
+    arma_fit.matrix_product(sees, moves[0, 0], moves[1, 0])
     _moved(sees, noises[0, 0], np.zeros((n + 1, n + 1)), noises[1, 0], work)
     _double(moves[0], noises[0], work)
     _double(moves[1], noises[1], work)

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navfilter.learning.initial_values import grown_point, padded_start
 from navfilter.learning.likelihood import Likelihood, maximise
@@ -21,13 +21,6 @@ from navfilter.models.spectrum import log_spread
 from navfilter.timeseries.initial_values import tidy_series
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.order_criterion import criterion
-
-Array = NDArray[np.float64]
-
-
-def zero_frequency(model: ArmaModel) -> float:
-    """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
-    return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
 
 
 @dataclass(frozen=True, eq=False)

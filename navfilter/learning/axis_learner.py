@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels.arma_likelihood import COST, GAIN
 from navfilter.learning.initial_values import Growth, padded, white_point, with_slow_parts
 from navfilter.learning.learned_model import Found, LearnedModel, learnt_from
@@ -22,7 +23,6 @@ from navfilter.models.error_models import ErrorModel, RandomWalk
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 
-Array = NDArray[np.float64]
 Order = tuple[int, int]
 #: AR and MA order of a fast part, and order of the slow part beside it, 0 without one.
 Kind = tuple[int, int, int]

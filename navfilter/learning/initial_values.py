@@ -9,12 +9,11 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.learning.likelihood import LAGS, Likelihood, Point, maximise
 from navfilter.learning.settings import EFFORT
 
-Array = NDArray[np.float64]
 Order = tuple[int, int]
 
 #: ln sd of white noise in the scaled unit, in which differences are of the order of one.

@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from navfilter.foundation.arrays import Array
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.moment_matching import nearest, slow_psd
 from navfilter.learning.slow_posterior import SlowPosterior
 from navfilter.models.error_models import ErrorModel, White
 from navfilter.models.spectrum import Spectrum, log_spread, quantiles
 from navfilter.timeseries.model import ArmaModel
-
-Array = NDArray[np.float64]
 
 #: Middles of nine equally probable parts of a distribution: the outer ones are its 5 and 95 %; and of a standard normal
 #: one.

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.input_buffer import InputBuffer
 from navfilter.filter.model_change import Change
+from navfilter.foundation.arrays import Array
 from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestMemory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import arma_fit as roots
 from navfilter.kernels import arma_likelihood as kernel
 from navfilter.kernels.arma_likelihood import LANES
@@ -18,8 +19,6 @@ from navfilter.learning.slow_prior import SlowPrior, drift_chain, slow_belief
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import CLIP, LONGEST_GAP
 from navfilter.timeseries.roots import resolved_radius
-
-Array = NDArray[np.float64]
 
 #: Ticks over which innovations are compared with each other.
 LAGS = 512
@@ -55,7 +54,7 @@ class Followed(NamedTuple):
     info: Array
     steps: Array
     state: Array
-    past: NDArray[np.int64]
+    past: Ints
     told: Array
 
     @property

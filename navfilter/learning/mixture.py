@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from navfilter.foundation.arrays import Array
 from navfilter.kernels.sum_likelihood import sum_likelihood
 from navfilter.learning.learned_model import LearnedModel
 from navfilter.learning.likelihood import Likelihood
@@ -33,7 +33,6 @@ from navfilter.models.error_models import (
 from navfilter.models.learned_arma import register_block
 from navfilter.timeseries.model import ArmaModel
 
-Array = NDArray[np.float64]
 #: Time over which readings are summed up [s] (chosen: a filter between fixes counts on means over a minute; over 20 s,
 #: 5 s and one step learnt models of real dives are further off, by a tenth to a fifth).
 HORIZON_S = 60.0

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.learning.arma_fit import Drift, fit_channel
 from navfilter.models.error_models import ErrorModel, RandomWalk, sum_of
 from navfilter.models.learned_arma import known_walk
 from navfilter.timeseries.model import ArmaModel
-
-Array = NDArray[np.float64]
 
 #: A process that a series holds fewer times than this, by its time constant, may be its bias.
 CYCLES = 10.0

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
-
-Array = NDArray[np.float64]
 
 #: Shares of the variance that the quicker process is tried with.
 QUICK_SHARES = np.linspace(0.05, 0.95, 10)

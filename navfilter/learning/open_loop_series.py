@@ -9,8 +9,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import open_loop_residual
 from navfilter.learning.axis_learner import NOTHING_KNOWN, LearnerMemory
 from navfilter.learning.background import Task, Worker
@@ -25,7 +25,6 @@ from navfilter.models.window_limits import LEAST, LONGEST_GAP
 
 __all__ = ["ChannelSeries"]
 
-Array = NDArray[np.float64]
 #: Another level is one that differs by more than this factor, as a variance [1] (chosen: with 1.5 it changes twice as
 #: often).
 ANOTHER = 2.0
@@ -161,7 +160,7 @@ class OpenLoopSeries:
         """All ticks of one axis, oldest first; isolated spikes are missing."""
         return without_spikes(self._told(axis, *self._noted(self._memory.ring.shape[1])))
 
-    def _noted(self, last: int, without: int = 0) -> tuple[Array, NDArray[np.int64]]:
+    def _noted(self, last: int, without: int = 0) -> tuple[Array, Ints]:
         """The last ticks of all axes, and what is needed beside them, oldest first, without the newest; and what of
         them is left out. Both are copies.
         """
@@ -179,7 +178,7 @@ class OpenLoopSeries:
             heard[: self.axes] += np.einsum("akt,kt->at", slopes, estimates - estimates[:, -1:])
         return heard, self._memory.left_out - first
 
-    def _told(self, axis: int, heard: Array, left_out: NDArray[np.int64]) -> Array:
+    def _told(self, axis: int, heard: Array, left_out: Ints) -> Array:
         """What one axis is learnt from: the last of these ticks, without those that are left out."""
         series, turned = heard[axis].copy(), heard[-1]
         for begin, end in left_out.tolist():

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from weakref import WeakMethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.events import (
     Correction,
@@ -24,6 +23,7 @@ from navfilter.filter.input_buffer import InputBuffer
 from navfilter.filter.model_change import Change, adoption
 from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import open_loop_residual
 from navfilter.kernels.batch import STUCK_S
 from navfilter.learning.background import Worker
@@ -34,7 +34,6 @@ from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import as_described, changed, is_learnt, learning_part
 
-Array = NDArray[np.float64]
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
 _NO_RING, _NO_CURSOR, _DEAF, _NOTHING = (
     np.zeros((1, 1)),
@@ -52,7 +51,7 @@ class Heard(NamedTuple):
     feedback: Array
     ear: Array
     ring: Array
-    cursor: NDArray[np.int64]
+    cursor: Ints
     learner: OpenLoopMemory | None
     learning_s: float
 

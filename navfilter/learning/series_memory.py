@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.foundation.display import Value
 from navfilter.learning.axis_learner import LearnerMemory
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.navigation_drift import Drift
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,7 +56,7 @@ class Hop:
     """
 
     heard: Array
-    left_out: NDArray[np.int64]
+    left_out: Ints
     fresh: int
     taken: int
 
@@ -105,8 +103,8 @@ class OpenLoopMemory:
     SHARED: ClassVar = ("ring",)
 
     ring: Array
-    cursor: NDArray[np.int64]
-    left_out: NDArray[np.int64]
+    cursor: Ints
+    left_out: Ints
     due: int
     heard: int
     level: float

@@ -13,13 +13,12 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_prior import SlowPrior
 
-Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
 Place = tuple[int, int]
 #: No slow part at all.
@@ -174,7 +173,7 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     )
 
 
-def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array, NDArray[np.int64]]:
+def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array, Ints]:
     """Log of the posterior's mass on each line, and how it is shared by its places: those of all lines one behind the
     other, and where each line begins, with the end of the last.
     """

@@ -12,12 +12,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, block_level
 from navfilter.models.navigation_drift import Drift
-
-Array = NDArray[np.float64]
 
 #: The time constant of a data sheet is that of the whole error; its slow part is about twice as slow.
 SLOWER = 2.0
@@ -78,7 +76,7 @@ class SlowPrior:
         """No slow error is smaller or larger than this [unit]."""
         return 0.01 * self.sd, 30.0 * self.sd
 
-    def log_density(self, order: NDArray[np.int64] | int, log_sd: Array | float, log_tau: Array | float) -> Array:
+    def log_density(self, order: Ints | int, log_sd: Array | float, log_tau: Array | float) -> Array:
         """Of one node or several, but for a constant, shape (K,)."""
         centre, centre_tau = self.centre
         off, off_tau = (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.monitor import FilterState
+from navfilter.foundation.arrays import Array
 from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.learned_model import learnt_from
 from navfilter.learning.model_reduction import hand_over
@@ -21,8 +21,6 @@ from navfilter.models.mechanisation import Imu, Mechanisation
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.sensors import ZeroVelocity
 from navfilter.models.window_limits import LONGEST_GAP
-
-Array = NDArray[np.float64]
 
 #: A quiet axis scatters less than so many of its believed standard deviations, and its mean stays within as many.
 QUIET = 3.0

@@ -299,15 +299,13 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
     excess = abs(float(np.linalg.norm(mean)) - STANDARD_GRAVITY)
     if excess > 1.5:
         raise ValueError(
-            f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of "
-            f"9.8. Units in g? Sign? Or the vehicle moves too hard: "
-            "give a start."
+            f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of 9.8. Units in g? "
+            "Sign? Or the vehicle moves too hard: give a start."
         )
     if mean[2] > 0:
         raise ValueError(
             f"cannot level: the specific force points down (z = {mean[2]:.2f} m/s^2; at rest it must be -9.8 in "
-            "forward-right-down axes). "
-            "Change the sign or the axis order in mission.toml."
+            "forward-right-down axes). Change the sign or the axis order in mission.toml."
         )
     roll = float(np.arctan2(-mean[1], -mean[2]))
     pitch = float(np.arctan2(mean[0], np.hypot(mean[1], mean[2])))
@@ -373,9 +371,8 @@ def _later(fixes: _Fixes, vehicle: Vehicle, mission: Mission, first: int, window
     if with_heading < len(times):
         return max(with_heading, first), -1
     raise ValueError(
-        "no heading to start with: the vehicle has no compass with readings, and within "
-        f"{LONGEST_WAY_S:g} s its fixes do not move {LEAST_WAY_M:g} m and {LEAST_WAY_SD:g} times what they err apart. "
-        "Give a start."
+        f"no heading to start with: the vehicle has no compass with readings, and within {LONGEST_WAY_S:g} s its fixes "
+        f"do not move {LEAST_WAY_M:g} m and {LEAST_WAY_SD:g} times what they err apart. Give a start."
     )
 
 

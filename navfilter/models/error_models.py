@@ -170,6 +170,10 @@ class ErrorModel(FrozenDescription):
         return Sum((*self.terms, *other.terms))
 
 
+#: One for all axes of a sensor, or one for each.
+Errors = ErrorModel | tuple[ErrorModel, ...]
+
+
 def sum_of(parts: Sequence[ErrorModel]) -> ErrorModel:
     """The sum of error models, or the one there is."""
     return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
@@ -360,8 +364,7 @@ class Arma(ErrorModel):
             radius = max(abs(np.roots([1.0, *self.ar])))
             raise ValueError(
                 f"Arma.ar has a pole of radius {radius:.6f}: the error would grow without bound. Use a pole inside the "
-                "unit circle, "
-                "or RandomWalk(...) + Arma(...) for a unit root."
+                "unit circle, or RandomWalk(...) + Arma(...) for a unit root."
             )
 
     def block(self, period_s: float) -> Block:

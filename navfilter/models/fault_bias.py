@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from navfilter.foundation.arrays import Array, Ints
-from navfilter.models.error_models import ErrorModel, RandomWalk, per_axis, sum_of
+from navfilter.models.error_models import ErrorModel, Errors, RandomWalk, per_axis, sum_of
 
-Errors = ErrorModel | tuple[ErrorModel, ...]
 #: Iron turns a compass by no more than this [rad]: one that is off by more is mounted, or read, the wrong way round.
 DEVIATES = math.radians(60.0)
 #: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.

@@ -79,8 +79,7 @@ def north(latitude_deg: float, longitude_deg: float, height_m: float, date: date
     if date is None:
         raise ValueError(
             "the declination needs a date: set date in mission.toml or Start(date=...), or give the compass "
-            "declination_rad=... "
-            "(declination_deg in vehicle.toml), or magnetic=False if it reads true heading."
+            "declination_rad=... (declination_deg in vehicle.toml), or magnetic=False if it reads true heading."
         )
     if not abs(latitude_deg) <= 90.0:
         raise ValueError(f"declination: latitude_deg must lie between -90 and 90, found {latitude_deg!r}.")

@@ -18,6 +18,7 @@ from navfilter.foundation import arguments as given
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import needs, numbers, rows_of, short
 from navfilter.foundation.arrays import Array
+from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.foundation.display import Value, often, span
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.foundation.quoting import one_line
@@ -332,10 +333,8 @@ class Mission(Value):
                 arrays[f"sd_{number}"] = stream.sd
         if self.truth is not None:
             arrays["time_truth"], arrays["value_truth"] = self.truth.time_s, self.truth.value
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
+        with replacing_binary(path) as file:
             np.savez_compressed(file, **arrays)
-        part.replace(path)
         return path
 
 

@@ -115,12 +115,6 @@ class Pose(NamedTuple):
         """True heading, clockwise from north [rad], in [-pi, pi)."""
         return math.atan2(self.C_nb[3], self.C_nb[0])
 
-    @property
-    def roll_pitch(self) -> tuple[float, float]:
-        """Roll and pitch [rad]."""
-        C = self.C_nb
-        return math.atan2(C[7], C[8]), -math.asin(min(1.0, max(-1.0, C[6])))
-
 
 def _fixed(values: Array, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)

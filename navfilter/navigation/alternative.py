@@ -17,7 +17,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.faults import settings
 from navfilter.faults.alternative_path import followed, full_residual
@@ -29,13 +28,13 @@ from navfilter.filter.events import Correction, Event, Listening, Measurement, U
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied, misfit
 from navfilter.kernels import imu_checks
 from navfilter.models.lane_clock import ANEW_S
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.state_transfer import transplant
 
-Array = NDArray[np.float64]
 #: The filter that uses the unit, the one without its accelerometers, and the one without any of it, as `LaneChoice`
 #: numbers them.
 WITH_UNIT, NO_FORCES, NO_UNIT = range(3)

@@ -13,11 +13,11 @@ from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.input_buffer import PIECE, InputBuffer
+from navfilter.foundation.arrays import Array
 from navfilter.kernels import batch, open_loop_residual, strapdown
 from navfilter.learning.schedule import UNHEARD
 from navfilter.navigation.run import Run
 
-Array = NDArray[np.float64]
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
 _NO_ROWS = np.zeros((1, 1))
 _HELD = _FLOAT, np.dtype(np.int64)

@@ -17,7 +17,6 @@ from navfilter.faults.monitor import FaultMonitor
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome, UnitDoubted
 from navfilter.filter.filter import Filter
-from navfilter.filter.filter_memory import Errors
 from navfilter.filter.imu_intake import samples_of
 from navfilter.filter.model_change import Change
 from navfilter.filter.records import Tape
@@ -27,6 +26,7 @@ from navfilter.foundation.state_values import misfit
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.learning.schedule import LearningSchedule
+from navfilter.models.error_models import Errors
 from navfilter.models.health import Health
 from navfilter.models.start import Start
 from navfilter.models.state import NavState, Pose

@@ -14,7 +14,6 @@ import io
 import json
 import os
 import stat
-import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -29,6 +28,7 @@ from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
 from navfilter.foundation.arguments import needs
 from navfilter.foundation.arrays import Array
+from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.start import Start
@@ -110,27 +110,9 @@ def write(saved: SnapshotContent, vehicle: Vehicle, time_s: float, path: str | P
     }
     data = MAGIC + json.dumps(header).encode() + b"\n" + payload
     if path is not None:
-        _replace(Path(path), data)
-    return data
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Write beside, sync, rename, sync the folder: the name always stands for one whole snapshot."""
-    handle, name = tempfile.mkstemp(prefix=path.name + ".", suffix=".part", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
+        with replacing_binary(path, synced=True) as file:
             file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    return data
 
 
 def unreadable(error: Exception | str) -> ValueError:

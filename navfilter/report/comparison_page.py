@@ -117,8 +117,7 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Stack]]:
             radius = f", largest pole {abs(last.poles[0]):.4f}" if last.p else ""
             caption = (
                 f"{label}, {history.title}: {len(history.models)} models adopted, the last one of order ({last.p}, "
-                f"{last.q}){radius}. "
-                "A pole radius of 1 would be a random walk."
+                f"{last.q}){radius}. A pole radius of 1 would be a random walk."
             )
             yield title, caption, learnt_figures.adopted_figure(history, float(track.time_s[-1]))
             title = ""

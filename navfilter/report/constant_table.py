@@ -29,7 +29,8 @@ def lights_html(lights: Sequence[Light]) -> str:
     rows = (
         (
             escape(one.name),
-            *(with_sd(v, sd, one.unit) for v, sd in _both(one)),
+            with_sd(one.given, one.given_sd, one.unit),
+            with_sd(one.value, one.sd, one.unit),
             _figure(one),
             amount(one.limit, one.unit),
             _light(one.colour, _SIGNS[one.colour][1]),
@@ -61,10 +62,6 @@ def lights_text(lights: Sequence[Light]) -> str:
     counts = [f"{sum(one.colour == colour for one in lights)} {_SIGNS[colour][1]}" for colour in _SIGNS]
     red = [f"{one.name} (sd {amount(one.sd, one.unit)})" for one in lights if one.colour == "red"]
     return f"constants: {', '.join(counts)}{': ' * bool(red)}{', '.join(red)}" if lights else ""
-
-
-def _both(one: Light) -> tuple[tuple[float, float], tuple[float, float]]:
-    return (one.given, one.given_sd), (one.value, one.sd)
 
 
 def _light(colour: str, text: str) -> str:

@@ -36,10 +36,8 @@ from navfilter.track.track import Track, Tracks
 
 _SURFACING = (
     "A surfacing is the first fix after a time without any: its horizontal distance from what was predicted for it, in "
-    "metres and in "
-    "per cent of the distance travelled since the fix before, beside the rms that the filter predicted (error of the "
-    "fix included). "
-    "Of honest ones 95 % lie inside."
+    "metres and in per cent of the distance travelled since the fix before, beside the rms that the filter predicted "
+    "(error of the fix included). Of honest ones 95 % lie inside."
 )
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 6
@@ -252,8 +250,7 @@ def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str
     when = f", {mission.date.isoformat()}" if mission.date is not None else ""
     return (
         f"Vehicle {track.vehicle.name}{when}. {summary['duration_s'] / 60:.1f} min, {summary['distance_m']:.0f} m "
-        "travelled, "
-        f"{len(track.state_names) + 9} error states, {track.cpu_s:.1f} s of processor time. navfilter "
+        f"travelled, {len(track.state_names) + 9} error states, {track.cpu_s:.1f} s of processor time. navfilter "
         f"{metadata.version('navfilter')}."
     )
 
@@ -265,9 +262,8 @@ def _reading(mission: Mission) -> str:
         )
     return (
         "Position errors are horizontal. NEES and NIS are means per degree of freedom: 1 is honest, well above 1 means "
-        "that the filter "
-        "believes itself too much, well below 1 too little. One run is one draw: NEES of a single mission scatters "
-        "widely."
+        "that the filter believes itself too much, well below 1 too little. One run is one draw: NEES of a single "
+        "mission scatters widely."
     )
 
 

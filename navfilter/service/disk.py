@@ -20,14 +20,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.navigation import snapshot
 from navfilter.service.protocol import event_line, to_line
-
-
-def new_file(path: Path) -> BinaryIO:
-    """A file to write anew: neither a link that lies there is followed, nor a pipe waited for."""
-    path.unlink(missing_ok=True)
-    return path.open("xb")
 
 
 class StateFile:
@@ -282,23 +277,12 @@ class Disk:
         if self._state_path is None:
             return
         data = StateFile.pack(session, nav, log_offset)
-        part = self._state_path.with_name(self._state_path.name + ".part")
         try:
-            part.parent.mkdir(parents=True, exist_ok=True)
-            with new_file(part) as file:
+            self._state_path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing_binary(self._state_path, synced=True) as file:
                 file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(self._state_path)
-            folder = os.open(self._state_path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
         except OSError as error:
             self.failed_snapshots += 1
-            with contextlib.suppress(OSError):
-                part.unlink()
             self._trouble("snapshot", error)
             return
         self.snapshot_at = time.monotonic()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from navfilter.service.disk import new_file
+from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.service.protocol import to_line
 
 
@@ -160,17 +160,10 @@ class HealthFile:
                 if fields is None:
                     return
             try:
-                self._replace(to_line(fields))
+                with replacing_binary(self._path) as file:  # not synced: after a power cut nobody asks how it was
+                    file.write(to_line(fields))
                 self._failed = False
             except OSError as error:
                 if not self._failed:
                     self._notice(f"{self._path}: {error.strerror or error}; the navigation goes on")
                 self._failed = True
-
-    def _replace(self, data: bytes) -> None:
-        # Readers see the old file or the new one, never half of one. Not synced: after a power cut nobody asks how the
-        # run was.
-        part = self._path.with_name(self._path.name + ".part")
-        with new_file(part) as file:
-            file.write(data)
-        part.replace(self._path)

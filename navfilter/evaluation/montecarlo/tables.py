@@ -116,8 +116,7 @@ def table(results: Results) -> str:
     begin, end = float(campaign.score_from_s or 0.0), float(campaign.duration_s or 0.0)
     parts = [
         f"{campaign.name}: {study.sensor} - {study.about}\n{len(results.seeds)} runs (seeds {results.seeds[0]} to "
-        f"{results.seeds[-1]}), "
-        f"{end:g} s each, scored from {begin:g} s; 95 % intervals over the runs."
+        f"{results.seeds[-1]}), {end:g} s each, scored from {begin:g} s; 95 % intervals over the runs."
     ]
     for track in results.tracks:
         parts.append(f"{track}\n{_block(results.models, track, _MAIN, found)}")

@@ -48,9 +48,8 @@ _GPS_EPOCH_S, _WEEK_S, _LEAP_S = 315964800.0, 604800.0, 18.0
 _FIX, _FIRST_WEEK = 3, 1825
 
 
-def _of_formats() -> Any:
-    """The format of formats, which none describes."""
-    return DFFormat(_FMT, b"FMT", _FMT_LENGTH, "BBnNZ", "Type,Length,Name,Format,Columns")
+#: The format of formats, which none describes.
+_OF_FORMATS = _FMT, b"FMT", _FMT_LENGTH, "BBnNZ", "Type,Length,Name,Format,Columns"
 
 
 @dataclass
@@ -59,7 +58,7 @@ class _Log:
     stamp, and UTC at which the stamps read zero [s].
     """
 
-    formats: dict[int, Any] = field(default_factory=lambda: {_FMT: _of_formats()})
+    formats: dict[int, Any] = field(default_factory=lambda: {_FMT: DFFormat(*_OF_FORMATS)})
     lengths: list[int] = field(default_factory=lambda: [_FMT_LENGTH if kind == _FMT else 0 for kind in range(256)])
     counts: Counter[int] = field(default_factory=Counter)
     begin_s: float | None = None

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from navfilter.foundation import utc
 from navfilter.foundation.arrays import Array
-from navfilter.io.tracks.atomic_files import replacing
+from navfilter.foundation.atomic_files import replacing
 from navfilter.models.mission import Mission
 from navfilter.models.state import wrap
 from navfilter.track.track import Track

@@ -12,7 +12,7 @@ import numpy as np
 
 from navfilter.foundation import utc
 from navfilter.foundation.arrays import Array
-from navfilter.io.tracks.atomic_files import pieces, replaced_by
+from navfilter.foundation.atomic_files import pieces, replaced_by
 from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from navfilter.foundation import utc
-from navfilter.io.tracks.atomic_files import pieces, replacing
+from navfilter.foundation.atomic_files import pieces, replacing
 from navfilter.io.tracks.geojson import degrees_east
 from navfilter.io.tracks.kml import xml_text
 from navfilter.models.mission import Mission

@@ -15,7 +15,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from navfilter.foundation import utc
-from navfilter.io.tracks.atomic_files import pieces, replacing, replacing_binary
+from navfilter.foundation.atomic_files import pieces, replacing, replacing_binary
 from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track

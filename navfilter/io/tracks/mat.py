@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.filter.records import OUTCOMES
-from navfilter.io.tracks.atomic_files import replacing_binary
+from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 

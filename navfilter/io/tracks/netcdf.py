@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.foundation import utc
-from navfilter.io.tracks.atomic_files import pieces, replacing_binary
+from navfilter.foundation.atomic_files import pieces, replacing_binary
 from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track

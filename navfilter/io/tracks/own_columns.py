@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
-from navfilter.io.tracks.atomic_files import pieces, replacing
+from navfilter.foundation.atomic_files import pieces, replacing
 from navfilter.io.validation import Strict, at_least_one, read_toml, validate
 from navfilter.track.heave import heave
 from navfilter.track.track import Track

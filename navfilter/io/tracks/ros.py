@@ -32,8 +32,8 @@ from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation import utc
 from navfilter.foundation.arrays import Array
+from navfilter.foundation.atomic_files import pieces, replacing_tree
 from navfilter.io.geodesy import ENU, local_enu, origin_of, plane_from_n
-from navfilter.io.tracks.atomic_files import pieces, replacing_tree
 from navfilter.io.tracks.formats import is_nowhere
 from navfilter.models.health import SensorHealth
 from navfilter.models.mission import Mission

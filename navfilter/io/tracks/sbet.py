@@ -16,7 +16,7 @@ import numpy as np
 
 from navfilter.foundation import utc
 from navfilter.foundation.arrays import Array
-from navfilter.io.tracks.atomic_files import pieces, replacing_binary
+from navfilter.foundation.atomic_files import pieces, replacing_binary
 from navfilter.models.mission import Mission
 from navfilter.models.state import matrix_from_euler, rotation_vector, wrap
 from navfilter.track.track import Track

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from navfilter.foundation import utc
-from navfilter.io.tracks.atomic_files import pieces, replacing_binary
+from navfilter.foundation.atomic_files import pieces, replacing_binary
 from navfilter.kernels import number_text
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle

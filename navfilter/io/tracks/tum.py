@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from navfilter.foundation.arrays import Array
-from navfilter.io.geodesy import Origin, local_enu, origin_of, plane_from_body
-from navfilter.io.tracks.atomic_files import pieces, replacing
+from navfilter.foundation.atomic_files import pieces, replacing
+from navfilter.io.geodesy import Origin, local_enu, matrix_from_euler, origin_of, plane_from_n
 from navfilter.models.mission import Mission, Stream
 from navfilter.track.track import Track
 
@@ -45,6 +45,6 @@ def write_truth(track: Track, path: Path, truth: Stream) -> bool:
 def _write(path: Path, time_s: Array, place: Array, attitude: Array, origin: Origin) -> None:
     with replacing(path) as file:
         for rows in pieces(len(time_s)):
-            C = plane_from_body(place[rows], attitude[rows], origin)
+            C = plane_from_n(place[rows], origin) @ matrix_from_euler(*attitude[rows].T)
             values = [time_s[rows], local_enu(place[rows], origin), Rotation.from_matrix(C).as_quat()]
             np.savetxt(file, np.column_stack(values), fmt=["%.6f", *["%.5f"] * 3, *["%.9f"] * 4])

@@ -17,7 +17,7 @@ _settings: Any = config
 _KNOWN: dict[int, Callable[..., None]] = {}
 _AT: dict[Callable[..., None], tuple[tuple[Any, ...], int]] = {}
 _ROW, _TABLE = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
-_PLACES, _STACK = types.Array(types.int64, 1, "C"), types.Array(types.float64, 3, "C")
+_PLACES = types.Array(types.int64, 1, "C")
 #: z, nav, rate, par, cfg, H, res, see `navfilter.kernels.measurement`.
 EQUATION = (_ROW, _ROW, _ROW, _ROW, _ROW, _TABLE, _ROW)
 #: z, near, P, first, cfg, R, see there.
@@ -68,11 +68,6 @@ SCATTERED = (
 )
 #: The same for `navfilter.kernels.batch.readmission`.
 READMISSION = (_ROW, _PLACES, _TABLE, _ROW, _ROW, _ROW, _TABLE, _TABLE, _TABLE)
-#: The same for `navfilter.kernels.kalman.smooth_run`.
-SMOOTH_RUN = (
-    *(_TABLE, _ROW, _ROW, _PLACES, _MATRIX_OF_PLACES, _ROW, _PLACES, _PLACES, types.int64, types.int64),
-    *(_TABLE, _STACK, types.int64, _STACK, _TABLE, _TABLE),
-)
 
 
 def address(kernel: Callable[..., None], signature: tuple[Any, ...]) -> int:

@@ -43,8 +43,10 @@ KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < 
 #: two to four dozen numbers are no quicker, and double the code that it has to look through.
 OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
-#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`; and of those
+#: that do, where such call them.
 UNCOUNTED: dict = {"_nrt": False}
+COUNTED: dict = {"_nrt": True}
 
 #: What defines kernels that are called by symbols, by these.
 _definitions: dict[str, Callable[[], Any]] = {}
@@ -136,9 +138,6 @@ def called_apart(kernel: Any) -> Any:
         return kernel
     # a method of Python's would take as long as half a small kernel
     return type("Apart", (Apart,), {"__call__": staticmethod(kernel)})(kernel)
-
-
-apart = called_apart  # above `njit`, as `kernels.arma_likelihood` has it
 
 
 def shaped(flat: Any, rows: int, columns: int) -> Any:

@@ -14,15 +14,15 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin, models, register_model
 
 __all__ = [
-    *("LANES", "VECTOR", "across", "all_below", "all_of", "call", "column", "compiled", "eight", "first_six"),
-    *("if_below", "if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_column", "store", "times"),
-    "transposed",
+    *("LANES", "VECTOR", "across", "all_below", "all_of", "call", "column", "compiled", "eight", "fetch", "first_six"),
+    *("if_below", "if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_away", "put_column", "spread"),
+    *("store", "times", "transposed"),
 ]
 
 #: Numbers at a time: what the widest registers there are hold.
 LANES = 8
 _ir = cgutils.ir
-VECTOR = _ir.VectorType(_ir.DoubleType(), LANES)
+VECTOR, _INDEX = _ir.VectorType(_ir.DoubleType(), LANES), _ir.IntType(32)
 
 
 class _Lanes(types.Type):
@@ -130,24 +130,40 @@ def compiled(function, result, *kinds):
     return lower_builtin(function, *kinds)
 
 
+def fetch(builder, place):
+    """Eight numbers from where a pointer points to."""
+    value = builder.load(builder.bitcast(place, VECTOR.as_pointer()))
+    value.align = 8
+    return value
+
+
+def put_away(builder, value, place):
+    """Eight numbers to where a pointer points to."""
+    builder.store(value, builder.bitcast(place, VECTOR.as_pointer()), align=8)
+
+
+def spread(builder, number):
+    """Eight times the same number."""
+    nothing = _ir.Constant(_ir.VectorType(number.type, LANES), _ir.Undefined)
+    same = _ir.Constant(_ir.VectorType(_INDEX, LANES), [0] * LANES)
+    return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
+
+
 def _compile_memory(read, write, step):
     """From an array, and to one: eight numbers from `step` times the number given on."""
 
     def place(context, builder, kinds, arguments):
         array = context.make_array(kinds[0])(context, builder, value=arguments[0])
         first = context.cast(builder, arguments[1], kinds[1], types.intp)
-        first = builder.mul(first, _ir.Constant(first.type, step))
-        return builder.bitcast(builder.gep(array.data, [first]), VECTOR.as_pointer())
+        return builder.gep(array.data, [builder.mul(first, _ir.Constant(first.type, step))])
 
     @compiled(read, lanes, types.Array, types.Integer)
     def build_read(context, builder, kinds, arguments):
-        value = builder.load(place(context, builder, kinds.args, arguments))
-        value.align = 8
-        return value
+        return fetch(builder, place(context, builder, kinds.args, arguments))
 
     @compiled(write, types.void, types.Array, types.Integer, lanes)
     def build_write(context, builder, kinds, arguments):
-        builder.store(arguments[2], place(context, builder, kinds.args, arguments), align=8)
+        put_away(builder, arguments[2], place(context, builder, kinds.args, arguments))
         return context.get_dummy_value()
 
 
@@ -157,9 +173,7 @@ _compile_memory(eight, put, 1)
 
 @compiled(all_of, lanes, types.Float)
 def _build_all(context, builder, kinds, arguments):
-    index, nothing = _ir.IntType(32), _ir.Constant(VECTOR, _ir.Undefined)
-    first = builder.insert_element(nothing, arguments[0], _ir.Constant(index, 0))
-    return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(index, LANES), [0] * LANES))
+    return spread(builder, *arguments)
 
 
 @compiled(times, lanes, lanes, lanes)
@@ -171,10 +185,10 @@ def transposed(builder, rows):
     """Eight such values, the rows of a square block, as those of the block transposed. Without a way through memory:
     what is stored number by number cannot be loaded in rows for a while.
     """
-    rows, index, apart = list(rows), _ir.IntType(32), LANES // 2
+    rows, apart = list(rows), LANES // 2
     while apart:
         mine = [j if j & apart == 0 else LANES + j - apart for j in range(LANES)]
-        masks = [_ir.Constant(_ir.VectorType(index, LANES), [j + add for j in mine]) for add in (0, apart)]
+        masks = [_ir.Constant(_ir.VectorType(_INDEX, LANES), [j + add for j in mine]) for add in (0, apart)]
         for i in range(LANES):
             if i & apart == 0:
                 pair = rows[i], rows[i + apart]
@@ -189,12 +203,11 @@ def _build_across(context, builder, kinds, arguments):
     place, width = (context.cast(builder, arguments[i], kinds.args[i], types.intp) for i in (1, 2))
     rows = []
     for _ in range(LANES):
-        rows.append(builder.load(builder.bitcast(builder.gep(of, [place]), VECTOR.as_pointer())))
-        rows[-1].align = 8
+        rows.append(fetch(builder, builder.gep(of, [place])))
         place = builder.add(place, width)
     to = builder.bitcast(to, VECTOR.as_pointer())
     for i, row in enumerate(transposed(builder, rows)):
-        builder.store(row, builder.gep(to, [_ir.Constant(_ir.IntType(32), i)]), align=8)
+        builder.store(row, builder.gep(to, [_ir.Constant(_INDEX, i)]), align=8)
     return context.get_dummy_value()
 
 
@@ -209,7 +222,7 @@ def call(builder, name, *arguments):
 def _build_six(context, builder, kinds, arguments):
     value = _ir.Constant(VECTOR, [0.0] * LANES)
     for i, argument in enumerate(arguments):
-        value = builder.insert_element(value, argument, _ir.Constant(_ir.IntType(32), i))
+        value = builder.insert_element(value, argument, _ir.Constant(_INDEX, i))
     return value
 
 
@@ -234,7 +247,7 @@ def _build_column(context, builder, kinds, arguments):
 @compiled(put_column, types.void, types.Array, types.Integer, lanes)
 def _build_put_column(context, builder, kinds, arguments):
     for i, place in enumerate(_in_column(context, builder, kinds.args, arguments)):
-        builder.store(builder.extract_element(arguments[2], _ir.Constant(_ir.IntType(32), i)), place)
+        builder.store(builder.extract_element(arguments[2], _ir.Constant(_INDEX, i)), place)
     return context.get_dummy_value()
 
 

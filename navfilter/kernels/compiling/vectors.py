@@ -8,10 +8,8 @@ builds its instructions stands below it.
 import numpy as np
 from numba import types
 from numba.core import cgutils
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin
 
-from navfilter.kernels.compiling.registers import LANES, VECTOR, call, compiled, transposed
+from navfilter.kernels.compiling.registers import LANES, VECTOR, call, compiled, fetch, put_away, spread, transposed
 
 # Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
 HIGH, WIDE = 9, 8
@@ -20,8 +18,8 @@ STEPS = 4
 # So many times as many columns of a weighted sum, and pairs of vectors that are taken off, at a time.
 BROAD = 3
 _ir = cgutils.ir
-_WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
-_ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
+_WORD, _INDEX = _ir.IntType(64), _ir.IntType(32)
+_ZERO, _PLACES = _ir.Constant(VECTOR, [0.0] * WIDE), _ir.Constant(_ir.VectorType(_WORD, WIDE), list(range(WIDE)))
 
 
 def product(A, B, out):
@@ -93,22 +91,6 @@ def _place(builder, data, i, width, j):
     return builder.gep(data, [builder.add(builder.mul(i, width), j)])
 
 
-def _eight(builder, place):
-    value = builder.load(builder.bitcast(place, _ROW.as_pointer()))
-    value.align = 8
-    return value
-
-
-def _put(builder, value, place):
-    builder.store(value, builder.bitcast(place, _ROW.as_pointer()), align=8)
-
-
-def _times_eight(builder, number):
-    nothing = _ir.Constant(_ir.VectorType(number.type, WIDE), _ir.Undefined)
-    same = _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE)
-    return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
-
-
 @_built_in(product, 3)
 def _build_product(builder, data, shapes):
     """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
@@ -116,7 +98,7 @@ def _build_product(builder, data, shapes):
     processor can.
     """
     (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
-    sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
+    sums = [cgutils.alloca_once(builder, VECTOR) for _ in range(HIGH)]
     with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
         first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
         places = [builder.add(first, _number(i)) for i in range(HIGH)]
@@ -128,9 +110,9 @@ def _build_product(builder, data, shapes):
         def add(first, count):
             for i in range(count):
                 step = builder.add(first, _number(i))
-                factors = _eight(builder, _place(builder, right, step, width, column))
+                factors = fetch(builder, _place(builder, right, step, width, column))
                 for total, terms in zip(sums, mine, strict=True):
-                    term = _times_eight(builder, builder.load(builder.gep(terms, [step])))
+                    term = spread(builder, builder.load(builder.gep(terms, [step])))
                     term = builder.fmul(term, factors, flags=("contract",))
                     builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
 
@@ -140,7 +122,7 @@ def _build_product(builder, data, shapes):
         with cgutils.for_range(builder, builder.sub(inner, done), intp=_WORD) as step:
             add(builder.add(done, step.index), 1)
         for i, total in zip(places, sums, strict=True):
-            _put(builder, builder.load(total), _place(builder, out, i, n, column))
+            put_away(builder, builder.load(total), _place(builder, out, i, n, column))
 
 
 @_built_in(weighted, 3)
@@ -150,7 +132,7 @@ def _build_weighted(builder, data, shapes):
 
     def by(count):
         size = count * WIDE
-        sums = [cgutils.alloca_once(builder, _ROW) for _ in range(count)]
+        sums = [cgutils.alloca_once(builder, VECTOR) for _ in range(count)]
         with _parts(builder, n, size) as wide:
             begin = _begin(builder, wide, n, size)
             columns = [builder.add(begin, _number(WIDE * i)) for i in range(count)]
@@ -159,12 +141,12 @@ def _build_weighted(builder, data, shapes):
             with cgutils.for_range(builder, k, intp=_WORD) as step:
                 factor = builder.load(builder.gep(f, [step.index]))
                 with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                    factor = _times_eight(builder, factor)
+                    factor = spread(builder, factor)
                     for column, total in zip(columns, sums, strict=True):
-                        term = builder.fmul(factor, _eight(builder, _place(builder, A, step.index, width, column)))
+                        term = builder.fmul(factor, fetch(builder, _place(builder, A, step.index, width, column)))
                         builder.store(builder.fadd(builder.load(total), term), total)
             for column, total in zip(columns, sums, strict=True):
-                _put(builder, builder.load(total), builder.gep(out, [column]))
+                put_away(builder, builder.load(total), builder.gep(out, [column]))
 
     with builder.if_else(builder.icmp_signed("<", n, _number(BROAD * WIDE))) as (few, many):
         with few:
@@ -177,24 +159,24 @@ def _build_weighted(builder, data, shapes):
 def _build_less_half(builder, data, shapes):
     """Eight columns at a time."""
     (P, f, A, out), (_, (k,), (_, width), (n,)) = data, shapes
-    total = cgutils.alloca_once(builder, _ROW)
+    total = cgutils.alloca_once(builder, VECTOR)
     with _parts(builder, n, WIDE) as wide:
         column = _begin(builder, wide, n, WIDE)
-        builder.store(_eight(builder, builder.gep(P, [column])), total)
+        builder.store(fetch(builder, builder.gep(P, [column])), total)
         with cgutils.for_range(builder, k, intp=_WORD) as step:
             factor = builder.load(builder.gep(f, [step.index]))
-            factor = _times_eight(builder, builder.fmul(factor, _ir.Constant(factor.type, 0.5)))
-            term = builder.fmul(factor, _eight(builder, _place(builder, A, step.index, width, column)))
+            factor = spread(builder, builder.fmul(factor, _ir.Constant(factor.type, 0.5)))
+            term = builder.fmul(factor, fetch(builder, _place(builder, A, step.index, width, column)))
             builder.store(builder.fsub(builder.load(total), term), total)
-        _put(builder, builder.load(total), builder.gep(out, [column]))
+        put_away(builder, builder.load(total), builder.gep(out, [column]))
 
 
 @_built_in(mirror, 1, 2)
 def _build_mirror(builder, data, shapes, i, j):
     ((M,), ((_, n),)) = data, shapes
-    rows = [_eight(builder, _place(builder, M, builder.add(i, _number(k)), n, j)) for k in range(WIDE)]
+    rows = [fetch(builder, _place(builder, M, builder.add(i, _number(k)), n, j)) for k in range(WIDE)]
     for k, row in enumerate(transposed(builder, rows)):
-        _put(builder, row, _place(builder, M, builder.add(j, _number(k)), n, i))
+        put_away(builder, row, _place(builder, M, builder.add(j, _number(k)), n, i))
 
 
 @_built_in(rank2_update, 3)
@@ -203,26 +185,25 @@ def _build_less_twice(builder, data, shapes):
     Of the last columns those that have been done before are multiplied by zeros.
     """
     (P, u, w), ((n, _), (a, _), _) = data, shapes
-    lanes = _ir.Constant(_ir.VectorType(_WORD, WIDE), list(range(WIDE)))
 
     def less(first, count, column, fresh):
         rows = [builder.mul(builder.add(first, _number(i)), n) for i in range(count)]
         pairs = [(builder.gep(u, [row]), builder.gep(w, [row])) for row in rows]
-        mine = [[_eight(builder, builder.gep(row, [column])) for row in pair] for pair in pairs]
+        mine = [[fetch(builder, builder.gep(row, [column])) for row in pair] for pair in pairs]
         mine = [[builder.select(fresh, row, _ZERO) for row in pair] for pair in mine]
         with cgutils.for_range(builder, n, intp=_WORD) as i:
             place = _place(builder, P, i.index, n, column)
-            value = _eight(builder, place)
+            value = fetch(builder, place)
             for pair, (wide_u, wide_w) in zip(pairs, mine, strict=True):
-                by_u, by_w = (_times_eight(builder, builder.load(builder.gep(row, [i.index]))) for row in pair)
+                by_u, by_w = (spread(builder, builder.load(builder.gep(row, [i.index]))) for row in pair)
                 value = builder.fsub(value, builder.fadd(builder.fmul(by_u, wide_w), builder.fmul(by_w, wide_u)))
-            _put(builder, value, place)
+            put_away(builder, value, place)
 
     whole = builder.udiv(a, _number(BROAD))
     with _parts(builder, n, WIDE) as wide:
         column = _begin(builder, wide, n, WIDE)
         known = builder.sub(builder.mul(wide.index, _number(WIDE)), column)
-        fresh = builder.icmp_signed(">=", lanes, _times_eight(builder, known))
+        fresh = builder.icmp_signed(">=", _PLACES, spread(builder, known))
         with cgutils.for_range(builder, whole, intp=_WORD) as several:
             less(builder.mul(several.index, _number(BROAD)), BROAD, column, fresh)
         done = builder.mul(whole, _number(BROAD))
@@ -231,33 +212,54 @@ def _build_less_twice(builder, data, shapes):
 
 
 class Row:
-    """A row of a panel in registers. Multiplied and added in one rounding where the processor can: every step of the
-    filter goes by `imu_steps` or `imu_hold` as they are compiled, so that bits stay the same.
+    """Eight numbers in a function that is being written out; constants beside it are numbers or arrays. Multiplied and
+    added in one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they
+    are compiled, so that bits stay the same.
     """
+
+    __array_ufunc__ = None
+    flags: tuple = ("contract",)
 
     def __init__(self, builder, value):
         self.builder, self.value = builder, value
 
-    @classmethod
-    def of(cls, builder, number):
-        """One number throughout."""
-        index, row = _ir.IntType(32), _ROW
-        nothing = _ir.Constant(row, _ir.Undefined)
-        first = builder.insert_element(nothing, number, _ir.Constant(index, 0))
-        same = _ir.Constant(_ir.VectorType(index, WIDE), [0] * WIDE)
-        return cls(builder, builder.shuffle_vector(first, nothing, same))
+    def _with(self, instruction, one, other):
+        pair = [
+            v.value if isinstance(v, Row) else _ir.Constant(VECTOR, np.broadcast_to(v, WIDE).tolist())
+            for v in (one, other)
+        ]
+        return type(self)(self.builder, getattr(self.builder, instruction)(*pair, flags=self.flags))
 
     def __add__(self, other):
-        return Row(self.builder, self.builder.fadd(self.value, other.value, flags=("contract",)))
+        return self._with("fadd", self, other)
+
+    def __radd__(self, other):
+        return self._with("fadd", other, self) if np.any(other) else self
 
     def __sub__(self, other):
-        return Row(self.builder, self.builder.fsub(self.value, other.value, flags=("contract",)))
+        return self._with("fsub", self, other)
+
+    def __rsub__(self, other):
+        return self._with("fsub", other, self)
 
     def __mul__(self, other):
-        return Row(self.builder, self.builder.fmul(self.value, other.value, flags=("contract",)))
+        return self._with("fmul", self, other)
 
-    def __rmul__(self, number):
-        return Row.of(self.builder, _ir.Constant(_ir.DoubleType(), number)) * self
+    def __rmul__(self, other):
+        return self._with("fmul", other, self) if np.any(other != 1.0) else self
+
+    def __truediv__(self, other):
+        return self._with("fdiv", self, other)
+
+    def called(self, name, *others):
+        """One of the compiler's own functions."""
+        return type(self)(self.builder, call(self.builder, name, self.value, *[other.value for other in others]))
+
+
+class Written(Row):
+    """One whose zeros may have either sign."""
+
+    flags = ("contract", "nsz")
 
 
 def build_panels(carried, panel, alone, numbers, turns, errors):
@@ -276,39 +278,30 @@ def build_panels(carried, panel, alone, numbers, turns, errors):
         How many numbers f and C hold, and how many rows e.
     """
 
-    @infer_global(panel)
-    @infer_global(alone)
-    class _OfPanels(AbstractTemplate):
-        def generic(self, arguments, keywords):
-            return signature(types.void, *arguments)
-
-    @lower_builtin(alone, types.Array, types.Array)
-    @lower_builtin(panel, types.Array, types.Array, types.Float, types.Array, types.Array)
+    @compiled(alone, types.void, types.Array, types.Array)
+    @compiled(panel, types.void, types.Array, types.Array, types.Float, types.Array, types.Array)
     def build(context, builder, kinds, arguments):
         given = [
             context.make_array(kind)(context, builder, value=value).data if isinstance(kind, types.Array) else value
             for kind, value in zip(kinds.args, arguments, strict=True)
         ]
         Z, *e, f, C = given if len(given) > 2 else (*given, None)
-        index = _INDEX
 
         def place(data, i):
-            return builder.gep(builder.bitcast(data, _ROW.as_pointer()), [_ir.Constant(index, i)])
+            return builder.gep(data, [_ir.Constant(_INDEX, WIDE * i)])
 
         def at(data, i):
-            value = builder.load(place(data, i))
-            value.align = 8
-            return Row(builder, value)
+            return Row(builder, fetch(builder, place(data, i)))
 
         def number(data, i):
-            return Row.of(builder, builder.load(builder.gep(data, [_ir.Constant(index, i)])))
+            return Row(builder, spread(builder, builder.load(builder.gep(data, [_ir.Constant(_INDEX, i)]))))
 
         f, x, rows, turn = [number(f, i) for i in range(numbers)], [at(Z, i) for i in range(9)], [], []
         if len(e):
-            by = Row.of(builder, e[1])
+            by = Row(builder, spread(builder, e[1]))
             rows, turn = [by * at(e[0], i) for i in range(errors)], [number(C, i) for i in range(turns)]
         for i, y in enumerate(carried(x, rows, f, turn, 0.5 * f[0])):
-            builder.store(y.value, place(Z, i), align=8)
+            put_away(builder, y.value, place(Z, i))
         return context.get_dummy_value()
 
 
@@ -319,61 +312,14 @@ def exchange(X, one, other, of_one, of_other):
         np.copyto(X[begin : begin + WIDE * WIDE], block.ravel())
 
 
-@compiled(exchange, types.void, types.Array, *(types.Integer,) * 4)
-def _buildexchange(context, builder, kinds, arguments):
+@_built_in(exchange, 1, 4)
+def _build_exchange(builder, data, shapes, *begins):
     """In registers, see `registers.transposed`."""
-    index, row = _INDEX, _ROW
-    data = context.make_array(kinds.args[0])(context, builder, value=arguments[0]).data
-    places = []
-    for begin in arguments[1:]:
-        first = builder.bitcast(builder.gep(data, [begin]), row.as_pointer())
-        places.append([builder.gep(first, [_ir.Constant(index, i)]) for i in range(WIDE)])
-    blocks = [[builder.load(place) for place in block] for block in places[:2]]
-    for rows in blocks:
-        for value in rows:
-            value.align = 8
+    places = [[builder.gep(data[0], [builder.add(begin, _number(WIDE * i))]) for i in range(WIDE)] for begin in begins]
+    blocks = [[fetch(builder, place) for place in block] for block in places[:2]]
     for block, rows in zip(places[2:], blocks, strict=True):
         for place, value in zip(block, transposed(builder, rows), strict=True):
-            builder.store(value, place, align=8)
-    return context.get_dummy_value()
-
-
-class Written:
-    """Eight numbers in a function that is being written out; constants beside it are arrays."""
-
-    __array_ufunc__ = None
-
-    def __init__(self, builder, value):
-        self.builder, self.value = builder, value
-
-    def _with(self, instruction, one, other):
-        pair = [v.value if isinstance(v, Written) else _ir.Constant(VECTOR, list(v)) for v in (one, other)]
-        return Written(self.builder, getattr(self.builder, instruction)(*pair, flags=("contract", "nsz")))
-
-    def __add__(self, other):
-        return self._with("fadd", self, other)
-
-    def __radd__(self, other):
-        return self._with("fadd", other, self) if other.any() else self
-
-    def __sub__(self, other):
-        return self._with("fsub", self, other)
-
-    def __rsub__(self, other):
-        return self._with("fsub", other, self)
-
-    def __mul__(self, other):
-        return self._with("fmul", self, other)
-
-    def __rmul__(self, other):
-        return self._with("fmul", other, self) if (other != 1.0).any() else self
-
-    def __truediv__(self, other):
-        return self._with("fdiv", self, other)
-
-    def called(self, name, *others):
-        """One of the compiler's own functions."""
-        return Written(self.builder, call(self.builder, name, self.value, *[other.value for other in others]))
+            put_away(builder, value, place)
 
 
 class WrittenRows:
@@ -389,20 +335,17 @@ class WrittenRows:
     def load(self, row):
         """A row as it is by now."""
         if row not in self.rows:
-            value = self.builder.load(self._at(row))
-            value.align = 8
-            self.rows[row] = self.read[row] = Written(self.builder, value)
+            self.rows[row] = self.read[row] = Written(self.builder, fetch(self.builder, self._at(row)))
         return self.rows[row]
 
     def _at(self, row):
-        place = self.builder.gep(self.first, [_ir.Constant(_ir.IntType(64), row * LANES)])
-        return self.builder.bitcast(place, VECTOR.as_pointer())
+        return self.builder.gep(self.first, [_number(row * LANES)])
 
     def write(self):
         """Those that are others now."""
         for row, value in self.rows.items():
             if value is not self.read.get(row):
-                self.builder.store(value.value, self._at(row), align=8)
+                put_away(self.builder, value.value, self._at(row))
 
 
 def write_out(function, write, cases, arrays, numbers):
@@ -442,28 +385,14 @@ def write_out(function, write, cases, arrays, numbers):
         return context.get_dummy_value()
 
 
-def copy_row(A, i, B, j, known):
+def copy_row(A, B, i, j, known):
     """Elements j to j + 8 of B to where those from i on stand in A: the first `known`, and zeros for the others."""
     np.copyto(A[i : i + WIDE], np.where(np.arange(WIDE) < known, B[j : j + WIDE], 0.0))
 
 
-@compiled(copy_row, types.void, types.Array, types.Integer, types.Array, types.Integer, types.Integer)
-def _buildcopy_row(context, builder, kinds, arguments):
+@_built_in(copy_row, 2, 3)
+def _build_copy_row(builder, data, shapes, i, j, known):
     """In one register: a panel is loaded in such rows, which have to wait for what was stored in other pieces."""
-    index, row = _ir.IntType(64), _ROW
-    A, i, B, j, known = arguments
-    to, of = (
-        builder.bitcast(
-            builder.gep(context.make_array(kind)(context, builder, value=array).data, [begin]), row.as_pointer()
-        )
-        for kind, array, begin in ((kinds.args[0], A, i), (kinds.args[2], B, j))
-    )
-    value = builder.load(of)
-    value.align = 8
-    counts = _ir.VectorType(index, WIDE)
-    first = builder.insert_element(_ir.Constant(counts, _ir.Undefined), known, _ir.Constant(index, 0))
-    same = _ir.Constant(_ir.VectorType(_ir.IntType(32), WIDE), [0] * WIDE)
-    places = _ir.Constant(counts, list(range(WIDE)))
-    kept = builder.icmp_signed("<", places, builder.shuffle_vector(first, first, same))
-    builder.store(builder.select(kept, value, _ir.Constant(row, [0.0] * WIDE)), to, align=8)
-    return context.get_dummy_value()
+    to, of = (builder.gep(array, [begin]) for array, begin in zip(data, (i, j), strict=True))
+    kept = builder.icmp_signed("<", _PLACES, spread(builder, known))
+    put_away(builder, builder.select(kept, fetch(builder, of), _ZERO), to)

@@ -13,12 +13,11 @@ import numpy as np
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
-from navfilter.models.error_models import ErrorModel, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, check_numbers
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.models.sensors import BodyVelocity, Heading
-from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Plausible
 from navfilter.models.start import Start
 from navfilter.models.state import NavState

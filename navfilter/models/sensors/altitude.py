@@ -10,10 +10,10 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector
+from navfilter.models.sensors.sensor import Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth

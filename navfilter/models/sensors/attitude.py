@@ -11,11 +11,11 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.heading import USUAL, Heading, with_declination_sd
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
@@ -72,9 +72,8 @@ class Attitude(Sensor):
         "Attitude of an AHRS or gyrocompass beside the inertial unit; its errors are slow, because it filters itself.",
         5,
         (
-            'error = {roll = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, '
-            'pitch = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, '
-            'yaw = {model = "gauss-markov", sd_deg = 1.0, tau_s = 60}}',
+            'error = {roll = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, pitch = {model = "gauss-markov", '
+            'sd_deg = 0.5, tau_s = 30}, yaw = {model = "gauss-markov", sd_deg = 1.0, tau_s = 60}}',
         ),
         live=False,
     )

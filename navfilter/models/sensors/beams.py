@@ -11,11 +11,10 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers, per_axis
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers, per_axis
 from navfilter.models.learned_arma import learning_part, resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
-from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import DVL_ERROR, BodyVelocity
 from navfilter.models.start import Start

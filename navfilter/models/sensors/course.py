@@ -11,9 +11,9 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector
+from navfilter.models.sensors.sensor import Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import USUAL
 from navfilter.models.start import Start

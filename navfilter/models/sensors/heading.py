@@ -11,11 +11,11 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import consistency, measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import LARGEST, Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth

@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from navfilter.foundation.arrays import Array
-from navfilter.models.error_models import White
-from navfilter.models.sensors.sensor import Errors
+from navfilter.models.error_models import Errors, White
 from navfilter.models.sensors.traits import Columns, Doubt, Example
 from navfilter.models.sensors.velocity import BodyVelocity
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth

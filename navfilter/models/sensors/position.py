@@ -11,11 +11,11 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import LARGEST, Errors, Sensor, Vector
+from navfilter.models.sensors.sensor import LARGEST, Sensor, Vector
 from navfilter.models.sensors.traits import Columns, Example, Plausible
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement, strapdown
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth

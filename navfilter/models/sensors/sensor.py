@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from navfilter.foundation.arrays import Array, Mask
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
-from navfilter.models.error_models import ErrorModel, White, check_numbers, per_axis
+from navfilter.models.error_models import ErrorModel, Errors, White, check_numbers, per_axis
 from navfilter.models.learned_arma import resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
@@ -23,7 +23,6 @@ from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
 Vector = tuple[float, float, float]
-Errors = ErrorModel | tuple[ErrorModel, ...]
 #: A stamp that is early by more standard deviations of the time offset is not waited for.
 EARLY_SDS = 2.5
 #: What is seen of the motion after a reading, at least [s].

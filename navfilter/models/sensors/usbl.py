@@ -11,11 +11,11 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import consistency, measurement
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.ranges import EARTH, SIGHT_S_PER_M, earth_fixed
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.models.sensors.sensor import Sensor, Vector, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler

@@ -11,12 +11,12 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array, Mask
 from navfilter.kernels import measurement, open_loop_residual
-from navfilter.models.error_models import ErrorModel, GaussMarkov, White, check_numbers
+from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White, check_numbers
 from navfilter.models.learned_arma import learning_part
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter, hidden_states
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors, Sensor, Vector, checked_sds, checked_vector
+from navfilter.models.sensors.sensor import Sensor, Vector, checked_sds, checked_vector
 from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler

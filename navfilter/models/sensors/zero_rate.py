@@ -11,9 +11,8 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels import measurement, strapdown
-from navfilter.models.error_models import White
+from navfilter.models.error_models import Errors, White
 from navfilter.models.sensors.observable import Observable
-from navfilter.models.sensors.sensor import Errors
 from navfilter.models.sensors.traits import Doubt, Example, Plausible
 from navfilter.models.sensors.velocity import ZeroVelocity
 from navfilter.models.start import Start

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tempfile
@@ -17,25 +18,34 @@ ROWS = 5_000
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[TextIO]:
     """Write text beside the file and move it there at the end: nobody ever reads half a file."""
-    with _part(Path(path)) as part, part.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing_binary(path) as raw, io.TextIOWrapper(raw, "utf-8", newline="\n") as file:
         yield file
 
 
 @contextmanager
-def replacing_binary(path: str | os.PathLike[str]) -> Iterator[Any]:
-    """The same with bytes."""
-    with _part(Path(path)) as part, part.open("wb") as file:
-        yield file
+def replacing_binary(path: str | os.PathLike[str], *, synced: bool = False) -> Iterator[Any]:
+    """The same with bytes; synced: whatever happens, even to the power, one whole file stands there.
 
-
-@contextmanager
-def _part(path: Path) -> Iterator[Path]:
+    Neither is a link followed that lies beside the file, nor a pipe waited for.
+    """
+    path = Path(path)
     part = path.with_name(path.name + ".part")
+    part.unlink(missing_ok=True)
     try:
-        yield part
+        with part.open("xb") as file:
+            yield file
+            if synced:
+                file.flush()
+                os.fsync(file.fileno())
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+    if synced:
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 @contextmanager
