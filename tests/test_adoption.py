@@ -12,6 +12,7 @@ import navfilter as nf
 from navfilter.filter.model_change import state_change, transfer
 from navfilter.filter.records import Tape
 from navfilter.filter.state_layout import Layout
+from navfilter.models.error_models import block_level
 from navfilter.models.learned_arma import (
     LearnedArma,
     known_walk,
@@ -118,6 +119,60 @@ def test_the_block_is_the_fast_part_beside_the_slow_ones(order, slow):
         ours.append(block.C @ P @ block.C + (block.r if k == 0 else 0.0))
         P = block.Phi @ P
     np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-10 * expected[0])
+
+
+# ---------------------------------------------------------------- another level
+
+
+def scatter(block):
+    """By what readings scatter from one to the next, as a variance."""
+    return float(block.C @ block.Q @ block.C) + block.r
+
+
+@pytest.mark.parametrize("slow", [SLOW, SMOOTH, SLOW + SMOOTH + nf.White(sd=0.4)])
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("level", [1.0, 2.7, 64.0])
+def test_a_level_is_that_of_what_readings_scatter_by(order, slow, level):
+    """Each of the two parts has changed by as little as makes up that sum: by squares less than any other two."""
+    model = random_model(np.random.default_rng(7), *order, sd=0.1)
+    one, now = learnt(model, slow), LearnedArma(model=model, slow=slow, level=level)
+    parts = [register_block(model), *(part.block(PERIOD_S) for part in one.beside)]
+    is_slow = [False, *(isinstance(part, nf.GaussMarkov) for part in one.beside)]
+    of_both = [sum(scatter(b) for b, of in zip(parts, is_slow, strict=True) if of == which) for which in (False, True)]
+    quick, lasting = now.levels(PERIOD_S)
+    assert [quick, lasting] @ np.array(of_both) == pytest.approx(level * sum(of_both), rel=1e-12)
+    changes = np.array([quick, lasting]) - 1.0
+    for step in (-0.01, 0.01):
+        others = changes + step * np.array([of_both[1], -of_both[0]]) / sum(of_both)
+        assert others @ others >= changes @ changes
+    block = now.block(PERIOD_S)
+    assert scatter(block) == pytest.approx(level * scatter(one.block(PERIOD_S)), rel=1e-12)
+    sizes = [lasting if of else quick for of in is_slow]
+    expected = sum(size * part.state_variance for size, part in zip(sizes, parts, strict=True))
+    assert block.state_variance == pytest.approx(expected, rel=1e-12)
+    assert now.s0(PERIOD_S) == pytest.approx(
+        sum(size * block_level(part) for size, part in zip(sizes, parts, strict=True)), rel=1e-9
+    )
+
+
+def test_a_level_says_of_a_slow_part_what_readings_show_of_it():
+    """Of one that is next to nothing beside white noise nothing, of one alone all."""
+    hidden = LearnedArma(model=ArmaModel([], [], 1.0), slow=nf.GaussMarkov(sd=0.1, tau_s=600.0), level=9.0)
+    alone = LearnedArma(model=ArmaModel([], [], 1e-6), slow=nf.GaussMarkov(sd=0.1, tau_s=600.0), level=9.0)
+    assert hidden.levels(PERIOD_S) == pytest.approx((9.0, 1.0), abs=1e-3)
+    assert alone.levels(PERIOD_S)[1] == pytest.approx(9.0, abs=1e-3)
+
+
+def test_what_is_new_at_a_level_is_as_large_as_its_part():
+    model = ArmaModel([-0.5], [], 1.0)
+    now = LearnedArma(model=model, slow=SLOW, level=4.0)
+    quick, lasting = now.levels(PERIOD_S)
+    M, N = transfer(learnt(ArmaModel([], [], 1.0), SLOW), now, PERIOD_S)
+    np.testing.assert_allclose(N, np.diag([quick * register_block(model).P0[0, 0], 0.0]), rtol=1e-12)
+    np.testing.assert_array_equal(M, [[0.0], [1.0]])
+    M, N = transfer(learnt(model), now, PERIOD_S)
+    np.testing.assert_allclose(N, np.diag([0.0, lasting * SLOW.sd**2]), rtol=1e-12)
+    np.testing.assert_array_equal(M, [[1.0], [0.0]])
 
 
 # ---------------------------------------------------------------- transfer of one axis

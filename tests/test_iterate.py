@@ -223,7 +223,7 @@ def test_low_frequencies_are_kept_that_smoothed_residuals_lose(seed):
     )
     theirs = math.log(from_smoothed_residuals(seed) / truth)
     assert low < 0.0 < high and abs(ours) < 1.0 and theirs < -math.log(5.0)
-    assert found.level(PERIOD_S) > truth
+    assert found.s0(PERIOD_S) > truth
 
 
 # ---------------------------------------------------------------- what is told

@@ -411,6 +411,25 @@ def test_white_noise_that_is_described_and_not_there_is_no_change_again_and_agai
     assert windows[-1] > 1500, windows
 
 
+def test_white_noise_that_trebles_says_little_of_what_is_slow():
+    """A compass whose error trebles, nine tenths of which is white from one reading to the next: the level of that is
+    found at once, and what no reading has shown yet of slow errors is not made ten times as large with it.
+
+    S(0) of what is in force became 6 to 18 times as large in five seeds, and becomes 1.6 to 2.5 times as large.
+    """
+    small, large = (nf.GaussMarkov(sd=k * 0.2 * DEG, tau_s=20.0) + nf.White(sd=k * 0.1 * DEG) for k in (1.0, 3.0))
+    staged = stage("compass-gm1", gyro="tactical", duration_s=TURNS_S + 60.0, imu_rate_hz=50.0)
+    error = Changing(((0.0, small), (TURNS_S, large)))
+    staged = replace(staged, faults=staged.faults | {"compass": replace(staged.faults["compass"], true_error=error)})
+    vehicle = staged.vehicle.with_error(compass=nf.LearnedArma(prior=BELIEF["compass"]))
+    track = nf.replay(vehicle, staged.mission(912), output_rate_hz=1.0)
+    *_, before = (parts[0] for time_s, parts in adopted(track, "compass") if time_s < TURNS_S)
+    after = adopted(track, "compass")[-1][1][0]
+    assert before.level == 1.0 and after.model == before.model
+    assert 4.0 < after.level < 20.0
+    assert after.s0(0.125) < 4.0 * before.s0(0.125)
+
+
 # ---------------------------------------------------------------- studies
 
 FIXED = [name for name, study in USUAL.items() if study.kind != "changing" and study.sensor != "gyro"]

@@ -206,7 +206,8 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
         if _holds(old, new, period_s):
             fast = _registers(old.model, new.model)
             slow = _slow_parts(old.slow_parts, new.slow_parts, period_s)
-            return _beside(fast[0], slow[0]), new.level * _beside(fast[1], slow[1])
+            quick, lasting = new.levels(period_s)
+            return _beside(fast[0], slow[0]), _beside(quick * fast[1], lasting * slow[1])
         white = 0.0
     if not (before.size and after.size):
         return np.zeros((after.size, before.size)), after.P0
@@ -224,8 +225,9 @@ def _holds(old: LearnedArma, new: LearnedArma, period_s: float) -> bool:
     fast, slow = np.zeros(2), np.zeros(2)
     for i, part in enumerate((old, new)):
         assert part.model is not None
-        fast[i] = part.level * register_block(part.model).state_variance
-        slow[i] = part.level * sum(one.block(period_s).state_variance for one in part.slow_parts)
+        fast[i], slow[i] = part.levels(period_s)
+        fast[i] *= register_block(part.model).state_variance
+        slow[i] *= sum(one.block(period_s).state_variance for one in part.slow_parts)
     return bool(fast[0] <= BEYOND * (fast[1] + new.block(period_s).r) and slow[0] <= BEYOND * slow[1])
 
 

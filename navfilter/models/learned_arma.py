@@ -74,7 +74,8 @@ class LearnedArma(ErrorModel):
         the mean of its variance is what is stated, and twice as slow, within (2, 7.4).
 
     level : float
-        How many times as large as it was learnt the error is at present, as a variance; the navigator sets it.
+        How many times as large as it was learnt the error is at present, as a variance and from one reading to the
+        next; the navigator sets it. See `levels`.
 
     Raises
     ------
@@ -206,7 +207,7 @@ class LearnedArma(ErrorModel):
             When there is neither.
         """
         if self.model is not None:
-            return _learnt_block(self.model, self.beside, period_s, self.level)
+            return _learnt_block(self.model, self.beside, period_s, self.levels(period_s))
         if self.prior is None:
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
@@ -233,7 +234,7 @@ class LearnedArma(ErrorModel):
     def s0(self, period_s: float) -> float:
         """S(0) per sample of its block."""
         if self.model is not None:
-            return self.level * _learnt_level(self.model, self.beside, period_s)
+            return _learnt_level(self.model, self.beside, period_s, self.levels(period_s))
         return block_level(self.block(period_s))
 
     def integrated(self, period_s: float) -> Integrated:
@@ -241,6 +242,17 @@ class LearnedArma(ErrorModel):
         if self.model is None and self.prior is not None:
             return self.prior.integrated(period_s)
         return super().integrated(period_s)
+
+    def levels(self, period_s: float) -> tuple[float, float]:
+        """How many times as large as it was learnt the fast part is at present, with the white noise beside it, and the
+        slow one, as variances.
+
+        The level is that of what readings scatter by from one to the next. Either may have changed as much as the
+        other: what is known of a sum of two tells of each by its share in it (least squares).
+        """
+        share = _slow_share(self.model, self.beside, period_s) if self.model is not None and self.level != 1.0 else 0.0
+        quick, slow = ((self.level - 1.0) * part / (share**2 + (1.0 - share) ** 2) for part in (1.0 - share, share))
+        return 1.0 + quick, 1.0 + slow
 
     @property
     def beside(self) -> tuple[ErrorModel, ...]:
@@ -260,15 +272,33 @@ class LearnedArma(ErrorModel):
 
 
 @lru_cache(maxsize=64)
-def _learnt_block(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float, level: float = 1.0) -> Block:
+def _learnt_block(
+    model: ArmaModel, beside: tuple[ErrorModel, ...], period_s: float, levels: tuple[float, float] = (1.0, 1.0)
+) -> Block:
     # laying out the states asks for it some fifty times at each adoption
-    block = joined_block([register_block(model), *(part.block(period_s) for part in slow)])
-    return Block(block.Phi, level * block.Q, block.C, level * block.r, level * block.P0)
+    blocks = [register_block(model), *(part.block(period_s) for part in beside)]
+    sizes = [levels[0], *(levels[isinstance(part, GaussMarkov)] for part in beside)]
+    return joined_block([Block(b.Phi, k * b.Q, b.C, k * b.r, k * b.P0) for b, k in zip(blocks, sizes, strict=True)])
 
 
 @lru_cache(maxsize=64)
-def _learnt_level(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float) -> float:
-    return block_level(_learnt_block(model, slow, period_s))
+def _learnt_level(
+    model: ArmaModel, beside: tuple[ErrorModel, ...], period_s: float, levels: tuple[float, float]
+) -> float:
+    return block_level(_learnt_block(model, beside, period_s, levels))
+
+
+@lru_cache(maxsize=64)
+def _slow_share(model: ArmaModel, beside: tuple[ErrorModel, ...], period_s: float) -> float:
+    """Of what readings scatter by from one to the next, as a variance, what is the slow part's [1]."""
+    of_slow, whole = (
+        float(block.C @ block.Q @ block.C) + block.r
+        for block in (
+            joined_block([part.block(period_s) for part in beside if isinstance(part, GaussMarkov)]),
+            _learnt_block(model, beside, period_s),
+        )
+    )
+    return of_slow / whole
 
 
 @lru_cache(maxsize=64)
