@@ -17,6 +17,7 @@ from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.omitted_parameters import left_out_doubts
 from navfilter.faults.imu.monitor import COUNTED
 from navfilter.filter.records import OUTCOMES, Residuals
+from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.models.error_models import per_axis
 from navfilter.models.fault_bias import descriptions, has_offset
@@ -260,7 +261,7 @@ _DESCRIPTION = (
 )
 
 
-def _each(values: Sequence[float]) -> str:
+def _each(values: Array) -> str:
     return ", ".join(f"{value:.2g}" for value in values)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 
@@ -91,7 +92,7 @@ class FaultDescription(FaultBias):
     component: int = 0
 
 
-def _has_jumped(part: ErrorModel) -> bool:
+def _has_jumped(part: ErrorModel) -> TypeGuard[FaultBias]:
     return isinstance(part, FaultBias) and not isinstance(part, FaultDescription)
 
 
