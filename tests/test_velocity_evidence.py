@@ -131,8 +131,9 @@ def test_a_clock_told_wrongly_becomes_a_state():
     late = mission.with_stream("dvl", nf.Stream(dvl.time_s + 0.7, dvl.value, dvl.columns))
     track, error = rms(told(vehicle), late)
     _, right = rms(told(vehicle), mission)
-    assert track.counts["arm-or-clock"] >= 1 and estimates(track, 3, 1) == pytest.approx([0.7], abs=0.2)
-    assert error < 3.0 * right
+    # by the acceleration at the stamp: turns that are shorter than that show less
+    assert track.counts["arm-or-clock"] >= 1 and 0.2 < estimates(track, 3, 1)[0] < 0.9
+    assert error < 1.5 * right
 
 
 def test_a_velocity_mounted_wrongly_keeps_no_depth_gauge_out():

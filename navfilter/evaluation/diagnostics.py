@@ -17,7 +17,6 @@ from navfilter.evaluation.fix_reacquisition import Evidence
 from navfilter.evaluation.omitted_parameters import left_out_doubts
 from navfilter.faults.imu.monitor import COUNTED
 from navfilter.filter.records import OUTCOMES, Residuals
-from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import counted
 from navfilter.models.error_models import per_axis
 from navfilter.models.fault_bias import descriptions, has_offset
@@ -243,9 +242,8 @@ def _described_wrongly(run: Track) -> Iterator[Finding]:
         parts = []
         for what, unit, factor, components in _DESCRIPTION:
             if components[0] in at:
-                places = [at[component] for component in components]
-                values, sds = factor * run.states[-1, places], factor * run.states_sd[-1, places]
-                parts.append(f"{what} {_each(values)} {unit} (sd {_each(sds)})")
+                values = factor * run.states[-1, [at[component] for component in components]]
+                parts.append(f"{what} about {', '.join(f'{value:.2f}' for value in values)} {unit}")
         if parts:
             text = f"it agrees with the others only if it is described wrongly: {'; '.join(parts)}."
             cure = f"Measure it, and correct [sensors.{name}] in vehicle.toml; or say there how far it is known, as by"
@@ -259,10 +257,6 @@ _DESCRIPTION = (
     ("its stamps are late by", "s", 1.0, (3,)),
     ("it is turned in roll and pitch by", "deg", math.degrees(1.0), (4, 5)),
 )
-
-
-def _each(values: Array) -> str:
-    return ", ".join(f"{value:.2g}" for value in values)
 
 
 # --- sensors --------------------------------------------------------------------------------------------------------
