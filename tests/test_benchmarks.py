@@ -24,6 +24,7 @@ SCRIPTS = {
     "cold_start": ("no other software", ()),
     "day": ("filterpy", ("live", "replay")),
     "dive_description": ("no other software", ()),
+    "dive_wrong": ("every reading used", ()),
     "dives": ("adaptive filters", ()),
     "faults": ("without a fault", ("missions", "outcomes", "fault_free", "service")),
     "faults_random": ("without the fault", ()),
