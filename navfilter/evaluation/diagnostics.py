@@ -237,8 +237,8 @@ def _described_wrongly(run: Track) -> Iterator[Finding]:
         if sensor is None:
             continue
         found = descriptions(per_axis(history[-1][1], sensor.axes, name), 1.0 / sensor.rate_hz)
-        first = next((i for i, state in enumerate(run.state_names) if state.startswith(f"{name}_")), 0)
-        at = {component: first + place for place, component in found}
+        axis = next((state.partition("[")[0] for state in run.state_names if state.startswith(f"{name}_")), name)
+        at = {component: run.state_names.index(f"{axis}[{place}]") for place, component in found}
         parts = []
         for what, unit, factor, components in _DESCRIPTION:
             if components[0] in at:
