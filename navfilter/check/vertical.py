@@ -161,7 +161,10 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
         text = f"the velocity says up where {depth[0]} says down: its z axis points up."
         yield Finding("error", "sign", name, text, cure)
     else:
-        yield from _scale_findings(depth[0], name, X.sum(axis=1), y)
+        way = _increments(edges, time_s, integral(time_s, v)[:, 0])
+        # as a velocity that is mounted too steep says, the depth changes with the way
+        sunk, deeper = (series - way * (series @ way) / max(way @ way, 1e-9) for series in (X.sum(axis=1), y))
+        yield from _scale_findings(depth[0], name, sunk, deeper)
 
 
 def _scale_findings(depth: str, velocity: str, sunk: Array, deeper: Array) -> Iterator[Finding]:

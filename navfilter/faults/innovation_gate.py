@@ -173,8 +173,9 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, un
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (1.0 if math.isnan(channel.faults.astray_m) else settings.PATIENT)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
-    # a height that a velocity leads away goes on to leave as fast as the gate opens
-    led = channel.sensor.observes is Observable.HEIGHT
+    # what leads a height away from its gauge goes on as fast as the gate opens
+    refused = channel.faults.refused
+    led = channel.sensor.observes is Observable.HEIGHT and not (refused and refused.from_the_first())
     widens = periods >= 1 and (led or nis <= limit * 2.0 ** min(periods, 500))
     if not widens and not _runs_away(channel, time_s, unseen):
         return None
