@@ -27,9 +27,9 @@ def rubbish(value, rng):
     return (math.nan, "x", [1.0] * 9, [1e300] * len(value), None, numbers)[int(rng.integers(6))]
 
 
-@pytest.mark.parametrize(("seed", "back"), [(1, False), (3, True), (6, True)])
-def test_the_state_stays_finite_and_bounded_and_finds_its_way_back(dive, seed, back):
-    """Not always soon: with seed 1 an accelerometer's bias has been learnt from rubbish, and the DVL is refused."""
+@pytest.mark.parametrize("seed", [1, 3, 4, 5, 6, 8])
+def test_the_state_stays_finite_and_bounded_and_finds_its_way_back(dive, seed):
+    """A fix on the other side of the Earth opened the second filter's position by as much, beyond what doubles bear."""
     vehicle, mission = dive
     nav, rng = nf.Navigator(vehicle, mission.start), np.random.default_rng(seed)
     with warnings.catch_warnings():
@@ -46,8 +46,7 @@ def test_the_state_stays_finite_and_bounded_and_finds_its_way_back(dive, seed, b
     off = math.hypot(*error[:2])
     # no further off than it has gone meanwhile, at 1.5 m/s
     assert off < min(60.0, state.bounds.horizontal_m) and abs(error[8]) < state.bounds.heading_rad
-    if back:
-        assert off < 3.0 * math.hypot(*state.sd[:2]) and np.abs(error[3:6]).max() < 0.1
+    assert off < 3.0 * math.hypot(*state.sd[:2]) and np.abs(error[3:6]).max() < 0.1
 
 
 @pytest.mark.parametrize(("name", "value"), [("gps", [0.7, 0.1, 1e300]), ("depth", [1e300]), ("compass", [1e300])])

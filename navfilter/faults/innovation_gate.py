@@ -173,10 +173,7 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int, un
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (1.0 if math.isnan(channel.faults.astray_m) else settings.PATIENT)
     periods = math.floor((time_s - channel.faults.rejected_since_s) / patience_s)
-    # what leads a height away from its gauge goes on as fast as the gate opens
-    refused = channel.faults.refused
-    led = channel.sensor.observes is Observable.HEIGHT and not (refused and refused.from_the_first())
-    widens = periods >= 1 and (led or nis <= limit * 2.0 ** min(periods, 500))
+    widens = periods >= 1 and (_is_led_away(channel, time_s) or nis <= limit * 2.0 ** min(periods, 500))
     if not widens and not _runs_away(channel, time_s, unseen):
         return None
     a, H = channel.axes, channel.H
@@ -202,6 +199,17 @@ def _runs_away(channel: Channel, time_s: float, unseen: float) -> bool:
     alone_s = time_s - max(used_s, kept.rejected_since_s - channel.period_s)
     largest = float(np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0))
     return largest <= settings.AWAY_SD * unseen * alone_s
+
+
+def _is_led_away(channel: Channel, time_s: float) -> bool:
+    """Whether it is a gauge that a height has left little by little, no faster than a mounting leads it away: that goes
+    on as fast as a gate opens.
+    """
+    kept = channel.faults
+    if channel.sensor.observes is not Observable.HEIGHT or (kept.refused and kept.refused.from_the_first()):
+        return False
+    way_m = kept.refused_speed * (time_s - kept.rejected_since_s + channel.period_s)
+    return abs(float(channel.note[3])) <= settings.AWAY_SD * settings.ANGLE_SD * way_m
 
 
 def whole_residual(channel: Channel, x: Array) -> Array:

@@ -132,6 +132,8 @@ def described_wrongly(channel: Channel) -> Array | None:
     wrong = _description(channel, kept)
     if not wrong.gain > kept.past + max(settings.JUMP_ODDS, _constants(channel, kept)):
         return None
+    if (wrong.mean**2 > channel.limits[1] * np.square(list(of_description(range(4)).values()))).any():
+        return None  # no vehicle is so large: the scale of the noise is that of rubbish
     E, off = np.outer(wrong.mean, wrong.mean) + wrong.covariance, np.zeros((a, 4))
     off[: len(kept.row)] = kept.row[:, _places(channel, ARM, CLOCK)]
     seen = np.isfinite(channel.res[:a])

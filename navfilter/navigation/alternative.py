@@ -196,6 +196,7 @@ class Alternative:
         for name, way in ways.items():
             # if it was the unit, what was refused is right: the way of a velocity was made, a place is where it is
             channel, off = own.channels[name], full_residual(main, main.channels[name])
+            off[np.abs(off) > settings.MOST_OFF.get(channel.sensor.observes.corrects, math.inf)] = math.nan
             if way is not None:
                 channel.faults.way = way
                 own.act(followed(own, channel), _ignore)
