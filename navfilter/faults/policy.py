@@ -107,8 +107,8 @@ def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejec
 
 
 def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A velocity whose lever arm or clock is described wrongly: these become states, and where they are, are opened to
-    it. Before it has confirmed the state, that may as well be wrong.
+    """A velocity whose lever arm or clock is described wrongly: these become states; where they are, they are opened by
+    as much as explains it.
     """
     yield from ()
     kept = channel.faults
