@@ -2142,6 +2142,7 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
     table = table[3 * scaled + 2 * deviating + 3 * flowing :][: 3 * described].reshape(-1, 3).astype(int)
     for state, component, axes in table:
         added = np.cross(rate, attitude[:, component]) if component < 3 else np.cross(rate, nav[3:6]) - force
+        added *= component != 3 or motion[3:].any()
         if component > 3:
             added = np.cross(nav[3:6], attitude[:, component - 4])
         C[:axes, state] = near[:axes, 3:6] @ added

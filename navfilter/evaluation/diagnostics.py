@@ -237,7 +237,7 @@ def _described_wrongly(run: Track) -> Iterator[Finding]:
         if sensor is None:
             continue
         found = descriptions(per_axis(history[-1][1], sensor.axes, name), 1.0 / sensor.rate_hz)
-        axis = next((state.partition("[")[0] for state in run.state_names if state.startswith(f"{name}_")), name)
+        axis = "_".join(part for part in (name, sensor.axis_names[0]) if part)
         at = {component: run.state_names.index(f"{axis}[{place}]") for place, component in found}
         parts = []
         for what, unit, factor, components in _DESCRIPTION:

@@ -343,7 +343,7 @@ def _tried(
 
 
 def _rejected(run: Track) -> int:
-    """Readings that contradicted the run: those that were let in with what a wrong description makes of them, too."""
+    """Readings that contradicted the run, and how often a description was found to be wrong by them."""
     return sum(r.count("rejected") for r in run.residuals.values()) + run.counts.get("arm-or-clock", 0)
 
 

@@ -103,7 +103,7 @@ def open_mounting(filter: FilterState, gauge: Channel) -> Iterator[Action]:
     for channel in filter.channels.values():
         models, parameters = channel.sensor.models, channel.sensor.all_parameters()
         known = any(component in MOUNTING for _, component in descriptions(models, channel.period_s))
-        known |= any(parameter.name.startswith("misalignment") for parameter in parameters)
+        known |= any(one.name in ("misalignment_x", "misalignment_y") and one.sd > 0.0 for one in parameters)
         if channel.moves and channel.ground and not known:
             opened = with_description(models, dict.fromkeys(MOUNTING, settings.ANGLE_SD))
             filter.monitor.changes.append(Change(channel.name, opened, offsets=True))

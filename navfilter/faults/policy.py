@@ -36,7 +36,7 @@ from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
-from navfilter.models.fault_bias import with_description, with_offsets
+from navfilter.models.fault_bias import descriptions, with_description, with_offsets
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected)
     """
     yield from ()
     kept = channel.faults
-    if not (filter.inertial and channel.moves):
+    if not (filter.inertial and channel.moves and channel.ground):
         return None
     kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
     wrong = None if channel.offset else velocity_evidence.described_wrongly(channel)
@@ -205,6 +205,8 @@ def _state_contradicted(filter: FilterState, channel: Channel, reading: Rejected
         if other.offset:  # what a sensor was thought to be off by was told by the state
             places = sensor_bias.offset_places(other)
             yield Inflate(places, places, other.group.P0[other.offsets, other.offsets])
+        own = np.array([state for state, _ in descriptions(other.sensor.models, other.period_s)], dtype=np.int64)
+        yield Inflate(other.group.start + own, other.group.start + own, other.group.P0[own, own])
         if not math.isnan(kept.rejected_since_s):
             _follows(other, time_s)
         kept.rejected_since_s, kept.agreed_s, kept.refused = math.nan, math.nan, None

@@ -95,7 +95,9 @@ class ChannelModel(NamedTuple):
         bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
         offset, kernels = has_offset(sensor.models), (address(kernel, addresses.EQUATION), seen, 0, bent)
         limits = np.concatenate([gates, believed(sensor, group)])
-        slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
+        C, (described, _) = group.C.copy(), np.array(descriptions(sensor.models, period_s), int).reshape(-1, 2).T
+        C[:, described] = 0.0  # what these add is known of no reading but by its motion
+        slow = C @ group.P0[: group.errors, : group.errors] @ C.T
         lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         facts = np.zeros(0) if sight is None else sight
@@ -103,9 +105,9 @@ class ChannelModel(NamedTuple):
         axes = sensor.ground or sensor.axes  # over ground
         scaled = [(*one, axes) for one in proportions(sensor.models, period_s)]
         flowing = [(*one, axes) for one in currents(sensor.models, period_s)]
-        described = [(*one, axes) for one in descriptions(sensor.models, period_s)]
-        each = *scaled, *zip(deviating, of_rad, strict=True), *flowing, *described
-        faults = np.concatenate([[len(scaled), len(of_rad), len(flowing), len(described)], *each])
+        moved = [(*one, axes) for one in descriptions(sensor.models, period_s)]
+        each = *scaled, *zip(deviating, of_rad, strict=True), *flowing, *moved
+        faults = np.concatenate([[len(scaled), len(of_rad), len(flowing), len(moved)], *each])
         parts = constants, np.zeros(6), model, group.C, R + lever, lever, R, limits, facts, faults
         return cls(
             *(sensor, group.Phi, variance, offset, kernels),
@@ -113,7 +115,7 @@ class ChannelModel(NamedTuple):
             (deviating, of_rad),
             limits,
             slow.diagonal().tolist(),
-            *changes(group, group.C),
+            *changes(group, C),
             np.concatenate([part.ravel() for part in parts]),
             (0, *accumulate(part.size for part in parts)),
         )

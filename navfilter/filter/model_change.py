@@ -11,6 +11,7 @@ from navfilter.filter.state_layout import Group, Layout
 from navfilter.foundation.arrays import Array
 from navfilter.models.during import shared
 from navfilter.models.error_models import ErrorModel, Errors, RandomWalk, Sum, joined_block
+from navfilter.models.fault_bias import FaultDescription
 from navfilter.models.learned_arma import LearnedArma, register_block, register_labels
 from navfilter.models.vehicle import Vehicle
 from navfilter.timeseries.model import ArmaModel
@@ -188,7 +189,8 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
 
 
 def _same_kind(old: ErrorModel, new: ErrorModel) -> bool:
-    walks = isinstance(old, RandomWalk) and type(old) is type(new)  # the same bias wanders otherwise from now on
+    # the same bias wanders otherwise from now on
+    walks = isinstance(old, RandomWalk) and type(old) is type(new) and not isinstance(new, FaultDescription)
     return old == new or walks or isinstance(new, LearnedArma) or isinstance(old, LearnedArma)
 
 

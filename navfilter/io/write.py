@@ -19,6 +19,7 @@ from navfilter.io.learned_toml import write_learned
 from navfilter.io.tracks.formats import FORMATS, write_track
 from navfilter.io.tracks.tum import write_truth
 from navfilter.models.during import is_alias
+from navfilter.models.fault_bias import unfaulted
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
@@ -99,10 +100,8 @@ def learned_vehicle(track: Track) -> Vehicle | None:
     last: dict[str, Any] = {}
     for name, history in track.error_models.items():
         error = history[-1][1] if history else None
-        models = error if isinstance(error, tuple) else (error,)
-        if any(
-            learned is not None and learned.model is not None for learned in map(learned_part, filter(None, models))
-        ):
+        models = unfaulted(error if isinstance(error, tuple) else (error,)) if error is not None else ()
+        if any(learned is not None and learned.model is not None for learned in map(learned_part, models)):
             # what was learnt of gyros and accelerometers is of the unit in force alone
             unit = track.lanes[-1][1] if name not in track.vehicle.sensors and track.lanes else ""
             key = f"{unit}.{name}" if unit in track.vehicle.imus else name

@@ -204,14 +204,16 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
         state, component = int(table[at]), int(table[at + 1])
         for i in range(int(table[at + 2])):
             C[i, state] = -near[i, 3 + component]
+    felt = 0.0
+    by = scratch(np.float64, int(3), 3)  # rate and specific force in n, and what a component adds to the velocity
     if described:
-        by = scratch(np.float64, int(3), 3)  # rate and specific force in n, and what a component adds to the velocity
         for k in range(3):
             by[0, k], by[1, k] = 0.0, 0.0
             for i in range(3):
                 by[0, k] += nav[6 + 3 * k + i] * motion[i]
                 by[1, k] += nav[6 + 3 * k + i] * motion[3 + i]
         by[1, 2] += strapdown.gravity(nav[0], nav[2])
+        felt = 1.0 if motion[3] != 0.0 or motion[4] != 0.0 or motion[5] != 0.0 else 0.0
     for j in range(described):
         at = 4 + 3 * scaled + 2 * deviating + 3 * flowing + 3 * j
         state, component = int(table[at]), int(table[at + 1])
@@ -222,8 +224,8 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
             elif component > 3:  # an instrument that is turned about an axis of b
                 axis = component - 4
                 by[2, k] = nav[3 + one] * nav[6 + 3 * two + axis] - nav[3 + two] * nav[6 + 3 * one + axis]
-            else:  # a stamp that is late shows the velocity in b before
-                by[2, k] = by[0, one] * nav[3 + two] - by[0, two] * nav[3 + one] - by[1, k]
+            else:  # a stamp that is late shows the velocity in b before; where no force is felt nobody knows that
+                by[2, k] = (by[0, one] * nav[3 + two] - by[0, two] * nav[3 + one] - by[1, k]) * felt
         for i in range(int(table[at + 2])):
             C[i, state] = near[i, 3] * by[2, 0] + near[i, 4] * by[2, 1] + near[i, 5] * by[2, 2]
     if north >= 0:
@@ -258,7 +260,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     rate = motion[:3]
     H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
     timed = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.CLOCK] != 0.0
-    if spot[READS_RATE] or (spot[TURNS] and not timed):  # by a clock that is a state the rate is that of then
+    # by a clock that is a state the rate is that of then
+    if spot[READS_RATE] or (spot[TURNS] and (not timed or spot[FAULTS])):
         outputs, off = shaped(spare[: 6 * (m - 9)], 6, m - 9), spare[6 * (m - 9) : 6 * (m - 8)]
         delayed_state.drive_outputs(drv, Cr, xd, outputs, off)
         per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0

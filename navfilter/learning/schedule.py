@@ -32,6 +32,7 @@ from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSer
 from navfilter.learning.series_memory import OpenLoopMemory
 from navfilter.learning.static_recorder import RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
+from navfilter.models.fault_bias import has_description
 from navfilter.models.learned_arma import as_described, changed, is_learnt, learning_part
 
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
@@ -456,4 +457,4 @@ def doubtful_ticks(channel: Channel, time_s: float) -> int:
         # a reading that a wrong description let in has ended the refusals, not the run
         since_s = float(np.fmin(memory.rejected_since_s, refused.began_s))
         return round((time_s - since_s) / channel.period_s) + 1
-    return int(channel.offset)
+    return int(channel.offset or has_description(channel.sensor.models))

@@ -91,6 +91,11 @@ class FaultDescription(FaultBias):
 
     component: int = 0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.component not in range(6):
+            raise ValueError(f"component must be 0 to 5, found {self.component!r}.")
+
 
 def _has_jumped(part: ErrorModel) -> TypeGuard[FaultBias]:
     return isinstance(part, FaultBias) and not isinstance(part, FaultDescription)
@@ -202,17 +207,18 @@ def described(
     stands among the others, as it does there, those are taken.
     """
     plain = {
-        name: others[name] if name in others else _described(per_axis(e, axes[name], name)) if name in axes else e
+        name: others[name] if name in others else unfaulted(per_axis(e, axes[name], name)) if name in axes else e
         for name, e in models
     }
     return plain | dict(others)
 
 
-def _described(models: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
+def unfaulted(models: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
+    """Error models without anything that was found while under way."""
     return tuple(sum_of([part for part in model.terms if not isinstance(part, FaultBias)]) for model in models)
 
 
 def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
     """New error models with the offsets that the old ones have: who learns them knows nothing of offsets."""
-    pairs = zip(_described(new), old, strict=True)
+    pairs = zip(unfaulted(new), old, strict=True)
     return tuple(sum((part for part in was.terms if isinstance(part, FaultBias)), start=model) for model, was in pairs)

@@ -251,6 +251,8 @@ class LearnedArma(ErrorModel):
         other: what is known of a sum of two tells of each by its share in it (least squares).
         """
         share = _slow_share(self.model, self.beside, period_s) if self.model is not None and self.level != 1.0 else 0.0
+        if self.level < 1.0:  # the shares would go below nothing
+            return self.level, self.level
         quick, slow = ((self.level - 1.0) * part / (share**2 + (1.0 - share) ** 2) for part in (1.0 - share, share))
         return 1.0 + quick, 1.0 + slow
 

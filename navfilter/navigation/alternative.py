@@ -174,7 +174,8 @@ class Alternative:
             return
         if not self.is_alive:
             self._prepare()
-            right = [was_right(self._main, self._main.channels[name]) for name in self._choice.names]
+            velocities = [self._main.channels[name] for name in self._choice.names]
+            right = [bool(one.ground) and was_right(self._main, one) for one in velocities]
             self._choice.alone = np.array(right, dtype=np.float64)
             self._leave_out(NO_UNIT if self._doubts_gyros(doubt) else NO_FORCES, doubt.since_s)
             self.is_alive = True
