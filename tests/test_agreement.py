@@ -21,8 +21,12 @@ from navfilter.models.fault_bias import (
     FaultCurrent,
     FaultScale,
     currents,
+    descriptions,
+    has_offset,
     offset_states,
     proportions,
+    unfaulted,
+    with_description,
     with_offsets,
     with_the_same_offsets,
 )
@@ -184,6 +188,15 @@ def read(filter, channel, z, nav, x):
     table, at = filter.bench[channel.spot[batch.FAULTS] :], (channel.group.start, channel.spot[batch.NORTH])
     seen, none = (channel.C, channel.near, channel.res), np.zeros(6)
     batch.fault_states(table, np.array(z), nav, x, none, *at, *seen, np.zeros(3), 0.0)
+
+
+def test_what_was_found_of_a_description_outlives_a_jump():
+    """But not the run: files that are handed on know nothing of it."""
+    described = with_description((nf.White(sd=0.01),) * 3, {0: 2.0, 3: 1.0})
+    jumped = with_offsets(described, 0.1, at_m_s=2.0)
+    assert has_offset(jumped) and not has_offset(described)
+    assert with_offsets(jumped) == described and descriptions(jumped, 0.25) == [(0, 0), (1, 3)]
+    assert unfaulted(jumped) == (nf.White(sd=0.01),) * 3
 
 
 def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():

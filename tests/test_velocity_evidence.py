@@ -115,7 +115,8 @@ def test_a_lever_arm_told_wrongly_is_no_jump_of_the_sensor(states):
     assert ("arm-or-clock" in said) == (track.counts["arm-or-clock"] > 0) == (not states)  # a state follows by itself
     assert error < max(1.1 * ungated, 2.0 * right)
     if not states:
-        assert estimates(track, 0, 3) == pytest.approx([-3.0, 0.0, 0.0], abs=0.3)
+        assert estimates(track, 0, 3) == pytest.approx([-2.5, 0.0, 0.1], abs=0.3)
+        assert track.bounds[-1, 0] < 300.0  # what the prior of an arm makes of a velocity is no drift
 
 
 def estimates(track, first, count):
@@ -123,6 +124,13 @@ def estimates(track, first, count):
     at = track.state_names.index("dvl_x[0]") + first
     assert (track.states_sd[-1, at : at + count] < 0.3).all()
     return track.states[-1, at : at + count].tolist()
+
+
+def test_a_lever_arm_told_wrongly_beside_a_clock_that_is_a_state():
+    """The rate that it turns with is that of the stamp, whatever the clock's then is."""
+    vehicle, mission = long_dive()
+    track, _ = rms(told(vehicle, lever_arm_b_m=(3.0, 0.0, 0.0), time_offset_sd_s=0.1), mission)
+    assert estimates(track, 0, 3) == pytest.approx([-2.5, 0.0, 0.1], abs=0.3)
 
 
 def test_a_clock_told_wrongly_becomes_a_state():
@@ -136,13 +144,14 @@ def test_a_clock_told_wrongly_becomes_a_state():
     assert error < 1.5 * right
 
 
-def test_a_velocity_mounted_wrongly_keeps_no_depth_gauge_out():
+@pytest.mark.parametrize("states", [{}, {"scale_sd": 0.005}])
+def test_a_velocity_mounted_wrongly_keeps_no_depth_gauge_out(states):
     """Turned by 5 deg, it says that the vehicle sinks; a gauge was refused for as long as that went on."""
     vehicle, mission = long_dive()
     dvl, C = mission.streams["dvl"], matrix_from_euler(0.0, 5.0 * DEG, 0.0)
     error = nf.GaussMarkov(sd=0.003, tau_s=30.0) + nf.White(sd=0.01)
     turned = mission.with_stream("dvl", nf.Stream(dvl.time_s, dvl.value @ C, dvl.columns))
-    track, _ = rms(told(vehicle, error=error), turned)
+    track, _ = rms(told(vehicle, error=error, **states), turned)
     down = np.abs(track.errors(mission.truth).position_n[:, 2])
     assert down.max() < 10.0 and down[track.time_s > 300.0].max() < 1.0
     assert track.state("dvl_x[2]")[0][-1] == pytest.approx(5.0 * DEG, abs=1.0 * DEG)
