@@ -130,9 +130,8 @@ def described_wrongly(channel: Channel) -> Array | None:
     kept, a = channel.faults.evidence, channel.axes
     assert kept is not None
     wrong = _description(channel, kept)
-    if kept.counts[ALL] < settings.RUN_LEAST * (channel.ground or a) or not wrong.gain > kept.past + max(
-        settings.JUMP_ODDS, _constants(channel, kept)
-    ):
+    early = kept.time_s - kept.since_s < settings.VELOCITY_SPAN_S
+    if early or not wrong.gain > kept.past + max(settings.JUMP_ODDS, _constants(channel, kept)):
         return None
     if (wrong.mean**2 > channel.limits[1] * np.square(list(of_description(range(4)).values()))).any():
         return None  # no vehicle is so large: the scale of the noise is that of rubbish
