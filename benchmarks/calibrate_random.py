@@ -28,9 +28,8 @@ from harness import Array, Options, Table, flag, main, quick
 from honest_random import BEGIN_S, Case
 
 import navfilter as nf
-from navfilter.calibration.calibrate import Calibration, Found
+from navfilter.calibration.calibrate import Calibration, Found, Prediction
 from navfilter.calibration.parts import KINDS, Constant, constants_of, described, kind_of, opened
-from navfilter.calibration.validation import Prediction
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.calibrated_toml import write_calibrated
 

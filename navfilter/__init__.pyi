@@ -56,10 +56,10 @@ from navfilter.timeseries.diagnostics import acf as acf
 from navfilter.timeseries.diagnostics import pacf as pacf
 from navfilter.timeseries.diagnostics import whiteness as whiteness
 from navfilter.timeseries.fit import fit_arma as fit_arma
+from navfilter.timeseries.fit import select_order as select_order
 from navfilter.timeseries.model import ArmaModel as ArmaModel
 from navfilter.timeseries.model import simulate_arma as simulate_arma
 from navfilter.timeseries.online.recursive import RecursiveArma as RecursiveArma
-from navfilter.timeseries.order import select_order as select_order
 from navfilter.track.track import Track as Track
 
 __version__: str

@@ -11,8 +11,7 @@ import numpy as np
 from navfilter.check import check_mission
 from navfilter.check.finding import Finding
 from navfilter.check.plausibility import check_vehicle
-from navfilter.evaluation.assessment import assess
-from navfilter.evaluation.verdict import Verdict
+from navfilter.evaluation.assessment import Verdict, assess
 from navfilter.io.write import labelled
 from navfilter.models.error_models import GaussMarkov, White
 from navfilter.models.mission import Mission, Stream

@@ -8,17 +8,19 @@ import pytest
 
 import navfilter as nf
 from navfilter.calibration.calibrate import (
+    FOLDS,
     REFERENCE,
     UNTOLD,
     Calibration,
     Found,
+    Prediction,
     _Folds,
     calibration_text,
+    stretches_of,
     with_reference,
 )
 from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
-from navfilter.calibration.validation import FOLDS, Prediction, stretches_of
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.io.calibrated_toml import write_calibrated

@@ -12,7 +12,7 @@ from small_run import small_run
 
 import navfilter as nf
 from navfilter.evaluation import learned_text
-from navfilter.evaluation.consistency import independent, innovation_series
+from navfilter.evaluation.comparison import independent, innovation_series
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.chi_square import chi_square_range
 from navfilter.models.error_models import GaussMarkov

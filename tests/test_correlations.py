@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import navfilter as nf
+from navfilter.evaluation.assessment import judge
 from navfilter.evaluation.correlations import FALSE_ALARMS, correlation, correlation_doubts, correlations
 from navfilter.evaluation.fix_reacquisition import evidence
-from navfilter.evaluation.verdict import judge
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn

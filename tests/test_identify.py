@@ -15,10 +15,9 @@ import scipy.io
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.identification.conditioning import MAX_SAMPLES, condition, gap_free, quantisation_step
-from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import identify, model_allan_deviation
 from navfilter.identification.online import track_online, tracks_text
-from navfilter.identification.report import as_dict, error_lines, summary_text
+from navfilter.identification.report import as_dict, error_lines, identification_figures, summary_text
 from navfilter.io.series import Series, on_a_grid, read_series
 from navfilter.io.table import TableOptions
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, Sum, White

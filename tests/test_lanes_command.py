@@ -11,8 +11,8 @@ from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.io.write import labelled, summarise
 from navfilter.models.learned_arma import LearnedArma, learned_part
 from navfilter.playback.replay import identified, replay, residual_series
+from navfilter.report.figures import lane_figure, lane_rows
 from navfilter.report.report import marks
-from navfilter.report.trust_figures import lane_figure, lane_rows
 from navfilter.service.session import Options
 
 END_S = 150.0

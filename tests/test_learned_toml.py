@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from navfilter.io import read_vehicle
-from navfilter.io.learned_toml import write_learned
+from navfilter.io.toml_editing import write_learned
 from navfilter.models.error_models import GaussMarkov, per_axis
 from navfilter.models.learned_arma import learned_part, with_learned
 from navfilter.timeseries.model import ArmaModel

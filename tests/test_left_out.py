@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import navfilter as nf
+from navfilter.evaluation.assessment import judge
 from navfilter.evaluation.fix_reacquisition import evidence
 from navfilter.evaluation.omitted_parameters import left_out, left_out_doubts
-from navfilter.evaluation.verdict import judge
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn
 from navfilter.simulation.motion import Motion

@@ -25,14 +25,16 @@ from navfilter.evaluation.montecarlo import workers
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign, run_seed
 from navfilter.evaluation.montecarlo.figures import write_figures
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.statistics import (
+from navfilter.evaluation.montecarlo.store import Store
+from navfilter.evaluation.montecarlo.tables import (
     mean_interval,
     ratio_interval,
     rms_interval,
+    rows,
     share_interval,
+    table,
+    write_tables,
 )
-from navfilter.evaluation.montecarlo.store import Store
-from navfilter.evaluation.montecarlo.tables import rows, table, write_tables
 from navfilter.evaluation.montecarlo.workers import cluster, process_pool
 from navfilter.foundation.chi_square import chi_square_limit, chi_square_range
 

@@ -15,7 +15,7 @@ from navfilter.commands.cli import main
 from navfilter.commands.console import complain, speaker
 from navfilter.evaluation.control_points import read_control_points
 from navfilter.foundation.quoting import one_line, printable, toml_key, toml_text
-from navfilter.io.learned_toml import write_learned
+from navfilter.io.toml_editing import write_learned
 from navfilter.rendering.page import escape
 
 HOSTILE = '/imu\n[streams.evil]\nfile = "/etc/hostname"\ntime = {column = "a"}\n# \x1b[2J\r\u202e\x9b\x7f"""\'\\'

@@ -407,7 +407,7 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
 @pytest.mark.parametrize("build", VEHICLES.values(), ids=VEHICLES.keys())
 def test_a_spooled_tape_smooths_to_the_same_bits_and_thinning_changes_nothing(build, monkeypatch):
     monkeypatch.setattr(
-        "navfilter.filter.record_store.RecordStore.CHUNK", 1 << 11
+        "navfilter.filter.records.RecordStore.CHUNK", 1 << 11
     )  # 16 KiB, so that a short run has many chunks
     results = []
     for memory_bytes, rate in ((1 << 30, None), (0, None), (0, 2.0)):

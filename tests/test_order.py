@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.timeseries.order import cancels
+from navfilter.timeseries.fit import cancels
 
 CRITERIA = ("loglik", "aic", "aicc", "bic", "hq", "sd", "whiteness", "is_white")
 

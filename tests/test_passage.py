@@ -11,8 +11,7 @@ from kernel_inputs import assert_close, run_both
 from state_differences import differences
 
 import navfilter as nf
-from navfilter.filter.record_store import RecordStore
-from navfilter.filter.records import Tape
+from navfilter.filter.records import RecordStore, Tape
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import measurement
 from navfilter.kernels.compiling.addresses import named

@@ -25,9 +25,8 @@ from navfilter.playback.replay import drive_samples
 from navfilter.service.disk import Disk, StateFile
 from navfilter.service.log import LOG_FILE, log_items, logged_options
 from navfilter.service.output import Outlet
-from navfilter.service.pairing import Pairing
 from navfilter.service.protocol import Lines, to_line
-from navfilter.service.session import Options, Session
+from navfilter.service.session import Options, Pairing, Session
 from navfilter.service.sources import listen_address
 
 

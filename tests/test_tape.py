@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from navfilter.filter.record_store import RecordStore
+from navfilter.filter.records import RecordStore
 
 
 def test_a_spool_that_nobody_holds_closes_its_file(monkeypatch):
@@ -66,7 +66,7 @@ def test_a_spool_holds_what_a_list_would(monkeypatch):
 
 def test_memory_is_used_again_but_not_while_somebody_looks_at_it(monkeypatch):
     """A spool leaves its blocks to the next one; those that are still seen stay as they are."""
-    monkeypatch.setattr("navfilter.filter.record_store._idle", [])
+    monkeypatch.setattr("navfilter.filter.records._idle", [])
     first, second = RecordStore(1 << 30), RecordStore(1 << 30)
     first.new(3)[:] = 1.0
     second.new(3)[:] = 2.0
@@ -81,7 +81,7 @@ def test_memory_is_used_again_but_not_while_somebody_looks_at_it(monkeypatch):
 
 def test_a_spool_that_goes_to_its_file_leaves_nothing_behind(monkeypatch):
     """Early, because the tape is that of a long run, or with more than is to be in memory: its blocks are given up."""
-    monkeypatch.setattr("navfilter.filter.record_store._idle", idle := [])
+    monkeypatch.setattr("navfilter.filter.records._idle", idle := [])
     for early in (True, False):
         spool = RecordStore((1 << 30) if early else 5 * 8 * RecordStore.CHUNK)
         vectors = 40 if early else 70

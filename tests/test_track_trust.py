@@ -11,8 +11,8 @@ from feeding import events_of, one_by_one
 
 import navfilter as nf
 from navfilter.io.write import labelled, write_summary
+from navfilter.report.figures import spell_rows, trust_figure
 from navfilter.report.report import render_report
-from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.track.trust import DegradedInterval, integrity_figures, spells
 

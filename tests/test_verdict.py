@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from navfilter.commands.cli import main
-from navfilter.evaluation.assessment import assess
+from navfilter.evaluation.assessment import assess, judge
 from navfilter.evaluation.diagnostics import LIMITS
 from navfilter.evaluation.fix_reacquisition import Surfacing, evidence
-from navfilter.evaluation.verdict import judge
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.io.write import labelled
 from navfilter.models.error_models import White

@@ -599,7 +599,7 @@ def _no_gap(mission: Mission, track: Track, giving: Sequence[str]) -> str:
 
 
 def to_table(result: OverDives) -> dict[str, Any]:
-    """What is kept of the dives, as `navfilter.io.over_dives_toml.write_over_dives` takes it."""
+    """What is kept of the dives, as `navfilter.io.toml_editing.write_over_dives` takes it."""
     sensors = {
         name: {
             "described": models_of(result.described, name)[0],

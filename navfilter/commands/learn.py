@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
     from navfilter.calibration.over_dives import from_table, learn, to_table
     from navfilter.evaluation.over_dives_text import learnt_lines, to_dict
     from navfilter.io import read_vehicle
-    from navfilter.io.over_dives_toml import write_over_dives
+    from navfilter.io.toml_editing import write_over_dives
     from navfilter.io.vehicle_toml import read_learnt
     from navfilter.io.write import write_json
 

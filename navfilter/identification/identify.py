@@ -20,10 +20,9 @@ from navfilter.io import units
 from navfilter.io.series import Series
 from navfilter.models.interpretation import Reading, read_model
 from navfilter.timeseries.diagnostics import Whiteness, allan_deviation, whiteness
-from navfilter.timeseries.fit import ArmaFit, fit_arma
+from navfilter.timeseries.fit import ArmaFit, OrderTable, cancels, fit_arma, select_order
 from navfilter.timeseries.gauss_markov import GaussMarkovFit, fit_gauss_markov
 from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.order import OrderTable, cancels, select_order
 
 Say = Callable[[str], Any]
 

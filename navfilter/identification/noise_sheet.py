@@ -18,7 +18,7 @@ from navfilter.identification.conditioning import quantisation_step
 from navfilter.identification.noise_terms import Bands, NoiseFit, bands_of, fit_terms
 from navfilter.identification.static_detection import bridged_rest, moving_together, stillness, without_defects
 from navfilter.io.inertial import ImuRecord
-from navfilter.models.mechanisation.imu import ACCEL_USUAL, GYRO_USUAL
+from navfilter.models.mechanisation.mechanisation import ACCEL_USUAL, GYRO_USUAL
 from navfilter.timeseries.diagnostics import allan_deviation, allan_edf
 
 Say = Callable[[str], Any]

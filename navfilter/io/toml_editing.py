@@ -1,19 +1,199 @@
-"""A user's vehicle.toml with some values changed: comments, units, order and all else stay (tomlkit)."""
+"""A user's vehicle.toml with some values changed: comments, units, order and all else stay (tomlkit).
+
+vehicle_learned.toml: the user's own vehicle.toml with what was learnt put in; comments and units stay.
+
+A vehicle.toml with what several dives have taught put in, and the tables ``[learnt]`` that the next ones add to.
+
+Comments, units and all else stay. The tables are::
+
+    [learnt]
+    dives = [["dive_041", "5e2a91c0"], ..]      # what has been counted: name, and a number that tells its readings
+
+    [learnt.sensors.dvl]
+    described = [[{model = "white", sd = 0.01}], ..]   # before the first dive, by axis
+    quick = [3.1, 1.4]                          # so many times as large, known within this factor
+    slow = [1.2, 1.9]
+    evidence = [[..], ..]                       # ln of the likelihood of all candidates
+"""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomlkit
 from tomlkit.items import InlineTable, Table
 
-from navfilter.foundation.quoting import one_line
+from navfilter.foundation.quoting import one_line, toml_key, toml_text
 from navfilter.io.vehicle_keys import spellings
-from navfilter.io.vehicle_toml import read_vehicle, vehicle_file, write_vehicle
+from navfilter.io.vehicle_toml import described_text, error_text, learnt_keys, read_vehicle, vehicle_file, write_vehicle
+from navfilter.models.error_models import ErrorModel
+from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle
+
+#: Evidence is written to so many digits behind the point [nat].
+_DIGITS = 6
+_TABLES = re.compile(r"(?:^#[^\n]*navfilter learn[^\n]*\n)?^\[\s*learnt\b.*?(?=^\[(?!\s*learnt\b)|\Z)", re.M | re.S)
+
+
+def write_over_dives(
+    vehicle: Vehicle,
+    table: Mapping[str, Any],
+    path: str | os.PathLike[str],
+    source: str | os.PathLike[str] | None = None,
+) -> bool:
+    """Write a vehicle with the errors that several dives have taught, as an edited copy of the file that it came from.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    table : dict
+        "dives" (pairs of text), "sensors" (by name "described", "quick", "slow" and "evidence") and "together"
+        (evidence, or None).
+    path : path-like
+    source : path-like, optional
+        The vehicle.toml, or the folder that holds it. Default: all is written anew, in SI units.
+
+    Returns
+    -------
+    bool
+        Whether it is a copy with all comments; the file is laid out in an unusual way otherwise, and all was written
+        anew.
+    """
+    count = len(table["dives"])
+    remark = f"learnt over {count} dive{'s' * (count > 1)} by navfilter learn; before: [learnt] below"
+
+    def edit(text: str) -> str:
+        text = re.sub(r"^# learnt over [^\n]* by navfilter learn[^\n]*\n", "", _TABLES.sub("", text), flags=re.M)
+        for name in table["sensors"]:
+            for part, key, value in _places(vehicle, name):
+                text = with_keys(text, part, {key: (key, value)}, remark)
+        return f"{text.rstrip()}\n\n{_learnt_text(table)}"
+
+    copied = write_edited(vehicle, path, source, edit)
+    if not copied:
+        with Path(path).open("a", encoding="utf-8") as file:
+            file.write(f"\n{_learnt_text(table)}")
+    return copied
+
+
+def _places(vehicle: Vehicle, name: str) -> list[tuple[tuple[str, ...], str, str]]:
+    """Where the errors of a sensor stand: tables, key, and value as text."""
+    if name in vehicle.sensors:
+        sensor = vehicle.sensors[name]
+        return [(("sensors", name), "error", error_text(sensor.error, sensor.axis_names))]
+    found = []
+    for unit, drive in vehicle.imus.items() or [("", vehicle.drive)]:
+        table: tuple[str, ...] = ("imus", unit) if unit else ("drive",)
+        part: Any = getattr(drive, name)
+        if hasattr(part, "models"):
+            found.append(((*table, name), "error", error_text(part.error, part.axis_names)))
+        else:
+            axes = ("roll", "pitch", "yaw") if name == "attitude" else ("x", "y", "z")
+            found.append((table, name, error_text(part, axes)))
+    return found
+
+
+def _learnt_text(table: Mapping[str, Any]) -> str:
+    """The tables as text."""
+    dives = ", ".join(f"[{toml_text(name)}, {toml_text(digest)}]" for name, digest in table["dives"])
+    lines = ["# Kept by navfilter learn, for the next dives to be added.", "[learnt]", f"dives = [{dives}]"]
+    if table["together"] is not None:
+        lines += [f"together = {_grid_text(table['together'])}"]
+    for name, one in table["sensors"].items():
+        lines += ["", f"[learnt.sensors.{toml_key(name)}]", f"described = {described_text(one['described'])}"]
+        lines += [f"{key} = [{', '.join(repr(float(x)) for x in one[key])}]" for key in ("quick", "slow")]
+        lines += [f"evidence = {_grid_text(one['evidence'])}"]
+    return "\n".join(lines) + "\n"
+
+
+def _grid_text(grid: Any) -> str:
+    rows = np.round(np.asarray(grid, dtype=np.float64), _DIGITS).tolist()
+    return "[\n" + "".join(f"  [{', '.join(map(repr, row))}],\n" for row in rows) + "]"
+
+
+def write_learned(
+    vehicle: Vehicle,
+    path: str | os.PathLike[str],
+    source: str | os.PathLike[str] | None = None,
+    remarks: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a vehicle that has learnt, as an edited copy of the file that it was read from.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        See `navfilter.io.write.learned_vehicle`.
+    path : path-like
+    source : path-like, optional
+        The vehicle.toml, or the folder that holds it. Only tables of ``model = "learned-arma"`` are changed, they get
+        ``adopted`` and ``slow``; sensors that this run went without stay. Default: all is written anew, in SI units.
+    remarks : dict of str to str, optional
+        One line by sensor ("compass") or part of the drive ("gyro"), written above what has changed, as a comment.
+
+    Returns
+    -------
+    Path
+
+    Notes
+    -----
+    The copy is read back. Where it is not the vehicle, because the file is laid out in an unusual way, everything is
+    written anew.
+    """
+    edit = partial(_edited, vehicle=vehicle, remarks=remarks or {})
+    write_edited(vehicle, path, source, edit)
+    return Path(path)
+
+
+def _edited(text: str, vehicle: Vehicle, remarks: Mapping[str, str]) -> str:
+    for name, sensor in vehicle.sensors.items():
+        if any(learned_part(model) is not None for model in sensor.models):
+            models = sensor.error if isinstance(sensor.error, tuple) else (sensor.error,)
+            change = partial(_adopted, models=models, axes=sensor.axis_names)
+            text = with_value(text, ("sensors", name), "error", change, remarks.get(name, ""))
+    for name, drive in vehicle.imus.items() or [("", vehicle.drive)]:
+        for part in dict.fromkeys(axis.rpartition("_")[0] for axis in drive.axis_names):
+            axes = [k for k, axis in enumerate(drive.axis_names) if axis.rpartition("_")[0] == part]
+            models = tuple(drive.models[k] for k in axes)
+            learnt = [learned for model in models if (learned := learned_part(model)) is not None]
+            if part and any(learned.model is not None for learned in learnt):
+                models = models[:1] if len(set(models)) == 1 else models
+                change = partial(_adopted, models=models, axes=("x", "y", "z"))
+                text = with_value(text, ("imus", name) if name else ("drive",), part, change, remarks.get(part, ""))
+    return text
+
+
+def _adopted(value: Any, models: tuple[ErrorModel, ...], axes: tuple[str, ...]) -> Any:
+    """The value of an error with what its learnt parts have adopted: of one axis, of all alike, or of each."""
+    by_axis = isinstance(value, dict) and "model" not in value
+    if not by_axis and len(models) == 1:
+        return _with_adopted(value, models[0])
+    every = models * len(axes) if len(models) == 1 else models
+    each = {
+        a: _with_adopted(value[a] if by_axis else tomlkit.value(value.as_string()), m)
+        for a, m in zip(axes, every, strict=True)
+    }
+    return value if by_axis else tomlkit.value("{" + ", ".join(f"{a} = {v.as_string()}" for a, v in each.items()) + "}")
+
+
+def _with_adopted(value: Any, model: ErrorModel) -> Any:
+    """The value of one axis with what its learnt part has adopted."""
+    part = learned_part(model)
+    if part is None:
+        return value
+    tables: list[Any] = [value] if isinstance(value, dict) else value
+    table = next(table for table in tables if table["model"] == "learned-arma")
+    for key in ("adopted", "slow", "frozen"):
+        table.pop(key, None)
+    for key, text in learnt_keys(part).items():
+        table.append(key, tomlkit.value(text))
+    return value
+
 
 #: What a file raises that has no such place, or that is laid out in a way that the library does not follow.
 UNCLEAR = (LookupError, ValueError, TypeError, AttributeError)

@@ -368,7 +368,7 @@ def _shape(value: Any) -> str:
 @cache
 def _learnt_spec(kinds: Kinds) -> type[Strict]:
     """What `navfilter learn` keeps of the dives that taught a description: no part of the vehicle, see
-    `navfilter.io.over_dives_toml`.
+    `navfilter.io.toml_editing`.
     """
     pair: Any = Annotated[list[float], Field(min_length=2, max_length=2)]
     grid: Any = Annotated[list[list[float]], Field(min_length=1)]

@@ -15,7 +15,7 @@ import numpy as np
 from navfilter.foundation import utc
 from navfilter.foundation.atomic_files import replacing
 from navfilter.foundation.quoting import json_value
-from navfilter.io.learned_toml import write_learned
+from navfilter.io.toml_editing import write_learned
 from navfilter.io.tracks.formats import FORMATS, write_track
 from navfilter.io.tracks.tum import write_truth
 from navfilter.models.during import is_alias
@@ -60,7 +60,7 @@ def write_outputs(
     more : dict, optional
         Further entries of ``summary.json``.
     vehicle_file, remarks : optional
-        For `navfilter.io.learned_toml.write_learned`: the file that the vehicle was read from, and comments.
+        For `navfilter.io.toml_editing.write_learned`: the file that the vehicle was read from, and comments.
     formats : collection of str
         Further formats of the track, by their names in `navfilter.io.tracks.formats.FORMATS`, such as "kml".
 

@@ -22,7 +22,7 @@ from navfilter.models.learned_arma import learning_part
 from navfilter.models.mission import Mission
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.lanes.tracks import replayed_lanes
+from navfilter.navigation.lanes.replay import replayed_lanes
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import MeasurementSequence, drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner

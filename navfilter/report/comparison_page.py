@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.evaluation.comparison import Comparison
-from navfilter.evaluation.consistency import LAGS, innovation_series
+from navfilter.evaluation.comparison import LAGS, Comparison, innovation_series
 from navfilter.evaluation.learned_text import in_force, learnt
 from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission, Stream

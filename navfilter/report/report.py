@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from navfilter.calibration.lights import Light
-from navfilter.evaluation.assessment import Assessment, assess
+from navfilter.evaluation.assessment import Assessment, Verdict, assess
 from navfilter.evaluation.comparison import number_text
 from navfilter.evaluation.control_points import Control
 from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Evidence, Surfacing
 from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
-from navfilter.evaluation.verdict import Verdict
 from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.models.during import same_sensor
@@ -28,10 +27,10 @@ from navfilter.rendering.page import Section, escape, list_html, page, table_htm
 from navfilter.rendering.panels import Mark, Stack, short
 from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.constant_table import ABOUT, lights_html
+from navfilter.report.figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
 from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import plan_view
 from navfilter.report.run_tables import Rows, headline_rows, sensor_rows
-from navfilter.report.trust_figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
 from navfilter.track.track import Track, Tracks
 
 _SURFACING = (

@@ -16,7 +16,6 @@ from typing import Any, BinaryIO, NamedTuple
 from navfilter.io.json_lines import BadLine, Item, LineParser, Note, Reading
 from navfilter.models.vehicle import Vehicle
 from navfilter.service.disk import Disk, StateFile
-from navfilter.service.instruments import Instrument
 from navfilter.service.kernel_cache import warm
 from navfilter.service.log import LOG_FILE, log_items, logged_options, prepare_log, remade_log, run_note
 from navfilter.service.output import Outlet
@@ -24,7 +23,7 @@ from navfilter.service.protocol import Lines, event_line
 from navfilter.service.session import Options, Session
 from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
-from navfilter.service.waterlinked import WaterLinked
+from navfilter.service.waterlinked import Instrument, WaterLinked
 
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1

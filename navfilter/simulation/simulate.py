@@ -21,7 +21,7 @@ from navfilter.foundation.arguments import within
 from navfilter.foundation.arrays import Array
 from navfilter.models.error_models import White
 from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
-from navfilter.models.mechanisation.imu import CROSSED
+from navfilter.models.mechanisation.mechanisation import CROSSED
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.parameters import Calibrated, Parameter, with_calibrated
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor

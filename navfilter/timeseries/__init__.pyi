@@ -5,6 +5,7 @@ from navfilter.timeseries.diagnostics import allan_deviation as allan_deviation
 from navfilter.timeseries.diagnostics import allan_edf as allan_edf
 from navfilter.timeseries.diagnostics import cross_correlation as cross_correlation
 from navfilter.timeseries.fit import ArmaFit as ArmaFit
+from navfilter.timeseries.fit import OrderTable as OrderTable
 from navfilter.timeseries.gauss_markov import GaussMarkovFit as GaussMarkovFit
 from navfilter.timeseries.gauss_markov import correlation_product as correlation_product
 from navfilter.timeseries.gauss_markov import fit_gauss_markov as fit_gauss_markov
@@ -18,7 +19,6 @@ from navfilter.timeseries.model import log_s0_sd as log_s0_sd
 from navfilter.timeseries.model import simulate_arma as simulate_arma
 from navfilter.timeseries.online.order_bank import ArmaBank as ArmaBank
 from navfilter.timeseries.online.preprocessing import FrontEnd as FrontEnd
-from navfilter.timeseries.order import OrderTable as OrderTable
 from navfilter.timeseries.periodic_motion import find_motion_band as find_motion_band
 from navfilter.timeseries.periodic_motion import subtract_motion as subtract_motion
 from navfilter.timeseries.polynomials import BiasPlusWhite as BiasPlusWhite

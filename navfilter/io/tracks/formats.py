@@ -93,7 +93,7 @@ FORMATS: tuple[TrackFormat, ...] = (
     TrackFormat(".geojson", "QGIS and web maps: track with times and sd, truth, fixes", "geojson", always=True),
     TrackFormat(".kml", "Google Earth: track with times and sd", "kml", place=True),
     TrackFormat(".kmz", "the same in a tenth of the room", "kml", place=True),
-    TrackFormat(".gpx", "chart plotters and GPS tools: track with times", "gpx", place=True),
+    TrackFormat(".gpx", "chart plotters and GPS tools: track with times", "kml", place=True),
     TrackFormat(".gpkg", "GIS: GeoPackage with the line, and its rows as points with time and sd", "gis", place=True),
     TrackFormat(".shp", "GIS and charting: the same as shapefiles", "gis", "shapefile", "gis", place=True),
     TrackFormat(".mcap", "Foxglove, PlotJuggler: odometry, fix, NIS and health of sensors", "ros", "rosbags", "ros"),

@@ -1,6 +1,8 @@
 """track.kml for Google Earth: a ``gx:Track`` with times and sd; without UTC a line without times.
 
 Heights are those of the track, above the ellipsoid where fixes gave them; KML means them above the sea.
+
+track.gpx for chart plotters and GPS tools (GPX 1.1): a track with heights, and with times where UTC is known.
 """
 
 from __future__ import annotations
@@ -20,6 +22,24 @@ from navfilter.io.tracks.geojson import degrees_east
 from navfilter.models.mission import Mission
 from navfilter.track.track import Track
 
+_GPX_HEAD = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<gpx version="1.1" creator="navfilter" xmlns="http://www.topografix.com/GPX/1/1">
+<trk><name>{name}</name><src>{vehicle}</src><trkseg>
+"""
+_GPX_TAIL = "</trkseg></trk></gpx>\n"
+
+
+def _write_gpx(track: Track, file: TextIO) -> None:
+    name = f"{track.mission_name}, {track.label}"
+    file.write(_GPX_HEAD.format(name=xml_text(name), vehicle=xml_text(track.vehicle.name)))
+    times = iter(_times(track))
+    for east, north, up in _places(track):
+        time = "" if track.epoch_utc_s is None else f"<time>{next(times)}</time>"
+        file.write(f'<trkpt lat="{north}" lon="{east}"><ele>{up}</ele>{time}</trkpt>\n')
+    file.write(_GPX_TAIL)
+
+
 _HEAD = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2">
@@ -32,10 +52,10 @@ _TAIL = "</Placemark></Document></kml>\n"
 
 
 def write(track: Track, path: Path, mission: Mission | None = None) -> None:
-    """The track; as .kmz the same, packed."""
-    if path.suffix.lower() == ".kml":
+    """The track; as .kmz a .kml, packed."""
+    if path.suffix.lower() != ".kmz":
         with replacing(path) as file:
-            _write(track, file)
+            (_write_gpx if path.suffix.lower() == ".gpx" else _write)(track, file)
         return
     with (
         replacing_binary(path) as packed,
@@ -55,14 +75,17 @@ def _write(track: Track, file: TextIO) -> None:
         file.write("</coordinates></LineString>\n")
     else:
         file.write("<gx:Track><altitudeMode>absolute</altitudeMode>\n")
-        for rows in pieces(len(track)):
-            times = utc.text(track.time_s[rows], track.epoch_utc_s, "ms")
-            file.writelines(f"<when>{time}</when>\n" for time in times)
+        file.writelines(f"<when>{time}</when>\n" for time in _times(track))
         file.writelines(f"<gx:coord>{' '.join(place)}</gx:coord>\n" for place in _places(track))
         file.write('<ExtendedData><SchemaData schemaUrl="#sd"><gx:SimpleArrayData name="sd_horizontal_m">\n')
         file.writelines(f"<gx:value>{value:.3f}</gx:value>\n" for value in track.horizontal_sd())
         file.write("</gx:SimpleArrayData></SchemaData></ExtendedData></gx:Track>\n")
     file.write(_TAIL)
+
+
+def _times(track: Track) -> Iterator[str]:
+    for rows in pieces(0 if track.epoch_utc_s is None else len(track)):
+        yield from utc.text(track.time_s[rows], track.epoch_utc_s or 0.0, "ms")
 
 
 def _places(track: Track) -> Iterator[tuple[str, str, str]]:

@@ -2,9 +2,9 @@
 
 from navfilter.models.mechanisation.dead_reckoning import DeadReckoning as DeadReckoning
 from navfilter.models.mechanisation.dead_reckoning import DeadReckoningLane as DeadReckoningLane
-from navfilter.models.mechanisation.imu import ACCEL_PRIOR as ACCEL_PRIOR
-from navfilter.models.mechanisation.imu import GYRO_PRIOR as GYRO_PRIOR
-from navfilter.models.mechanisation.imu import Imu as Imu
+from navfilter.models.mechanisation.mechanisation import ACCEL_PRIOR as ACCEL_PRIOR
+from navfilter.models.mechanisation.mechanisation import GYRO_PRIOR as GYRO_PRIOR
 from navfilter.models.mechanisation.mechanisation import DriveNoise as DriveNoise
+from navfilter.models.mechanisation.mechanisation import Imu as Imu
 from navfilter.models.mechanisation.mechanisation import Mechanisation as Mechanisation
 from navfilter.models.mechanisation.mechanisation import Triple as Triple

@@ -14,13 +14,12 @@ from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import delayed_state, strapdown
 from navfilter.models.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.models.learned_arma import learning_part
-from navfilter.models.mechanisation.imu import Imu
-from navfilter.models.mechanisation.mechanisation import Mechanisation, Triple
+from navfilter.models.mechanisation.mechanisation import Imu, Mechanisation, Triple
 from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor, WaterVelocity
-from navfilter.models.sensors.attitude import ATTITUDE
+from navfilter.models.sensors.heading import ATTITUDE
 from navfilter.models.sensors.heading import USUAL as HEADING_USUAL
 from navfilter.models.sensors.traits import Columns, Doubt, Plausible
 from navfilter.models.sensors.velocity import USUAL as VELOCITY_USUAL

@@ -5,19 +5,19 @@ A reading is a vector of float64 in SI units and radians; NaN is a missing compo
 Jacobian.
 """
 
-from navfilter.models.sensors.altitude import Altitude as Altitude
-from navfilter.models.sensors.attitude import Attitude as Attitude
 from navfilter.models.sensors.beams import DvlBeams as DvlBeams
-from navfilter.models.sensors.course import Course as Course
+from navfilter.models.sensors.heading import Attitude as Attitude
 from navfilter.models.sensors.heading import Heading as Heading
 from navfilter.models.sensors.observable import Observable as Observable
-from navfilter.models.sensors.odometer import Odometer as Odometer
+from navfilter.models.sensors.position import Altitude as Altitude
 from navfilter.models.sensors.position import Depth as Depth
 from navfilter.models.sensors.position import Position as Position
 from navfilter.models.sensors.ranges import Range as Range
+from navfilter.models.sensors.ranges import Usbl as Usbl
 from navfilter.models.sensors.sensor import Sensor as Sensor
-from navfilter.models.sensors.usbl import Usbl as Usbl
 from navfilter.models.sensors.velocity import BodyVelocity as BodyVelocity
+from navfilter.models.sensors.velocity import Course as Course
+from navfilter.models.sensors.velocity import Odometer as Odometer
 from navfilter.models.sensors.velocity import WaterVelocity as WaterVelocity
 from navfilter.models.sensors.velocity import ZeroVelocity as ZeroVelocity
 from navfilter.models.sensors.zero_rate import ZeroRate as ZeroRate

@@ -1,4 +1,9 @@
-"""Velocity over ground, velocity through the water, and the zero velocity of a vehicle at rest."""
+"""Velocity over ground, velocity through the water, and the zero velocity of a vehicle at rest.
+
+Wheels: how fast they roll, and that they roll neither sideways nor off the ground.
+
+Velocity over ground by a satellite receiver: speed and course, or north, east, down.
+"""
 
 from __future__ import annotations
 
@@ -384,3 +389,179 @@ class ZeroVelocity(Sensor):
     def felt(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> Array | None:
         """Zeros when the period was quiet."""
         return np.zeros(3) if self.quiet(mean, scatter, velocity, P) else None
+
+
+COURSE = Columns("course", ("ground_speed_m_s", "course_rad"), ("speed", "angle"), circular=("course_rad",))
+VELOCITY_N = Columns("velocity_n", ("v_north_m_s", "v_east_m_s", "v_down_m_s"), ("speed",) * 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course(Sensor):
+    """Speed and course over ground [m/s], [rad] of a satellite receiver, or its velocity north, east, down [m/s].
+
+    Parameters
+    ----------
+    lever_arm_b_m : (3,) float
+        From the reference point to the antenna, in b [m].
+    velocity : bool
+        The reading is a velocity north, east, down (NaN down: none) instead of speed and course.
+    max_speed_m_s : float
+        A speed above it is no reading.
+
+    Notes
+    -----
+    Speed and course are taken as one velocity, so that a course that means nothing at low speed does no harm. Errors
+    are those of the velocity north, east and down [m/s]. The course is where the vehicle goes, not where it points:
+    in a current, or a wind, the two differ.
+    """
+
+    error: Errors = White(sd=0.1)
+    lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
+    velocity: bool = False
+    max_speed_m_s: float = 100.0
+
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.05, tau_s=5.0) + White(sd=0.05)
+    unit: ClassVar[str] = "m_s"
+    axes: ClassVar[int] = 3
+    reads: ClassVar[int] = 2
+    axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.ground_velocity)
+    observes: ClassVar[Observable] = Observable.VELOCITY_NED
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((COURSE,), (VELOCITY_N,))
+    plausible: ClassVar[Plausible | None] = USUAL._replace(most_sd=3.0)
+    template: ClassVar[Example | None] = Example(
+        "course",
+        "Speed and course over ground of a satellite receiver.",
+        1,
+        ('error = {model = "white", sd = 0.1}',),
+        (-0.4, 0.0, -0.2),
+        live=False,
+    )
+
+    def constants(self, start: Start) -> Array:
+        """The lever arm."""
+        return np.asarray(self.lever_arm_b_m, dtype=float)
+
+    def read(self, value: Array) -> Array | None:
+        """Velocity north, east, down; None for a speed that cannot be, or a course without one."""
+        if self.velocity:
+            z = np.array([*value[:2], value[2] if len(value) > 2 else math.nan])
+            return z if np.hypot(z[0], z[1]) <= self.max_speed_m_s else None
+        speed, course = value[0], value[1]
+        if speed == 0.0:
+            course = 0.0  # receivers give none then
+        if not (0.0 <= speed <= self.max_speed_m_s and math.isfinite(course)):
+            return None
+        return np.array([speed * math.cos(course), speed * math.sin(course), math.nan])
+
+    @property
+    def needs_rate(self) -> bool:
+        """With a lever arm."""
+        return any(self.lever_arm_b_m)
+
+    def lever_arm_covariance(self, rate_variance: Array) -> Array:
+        """In the axes of the body, whose heading nobody knows here: as large in all directions as in the worst."""
+        by_rate = np.cross(np.eye(3), np.asarray(self.lever_arm_b_m, dtype=float)).T
+        return np.asarray(np.eye(3) * np.linalg.eigvalsh(by_rate @ np.diag(rate_variance) @ by_rate.T)[-1])
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "velocity over ground, north, east, down" if self.velocity else "speed and course over ground"
+
+    def stream_columns(self) -> tuple[str, ...]:
+        """Speed and course, or a velocity."""
+        return VELOCITY_N.names if self.velocity else COURSE.names
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Of errors that are too small: receivers smooth."""
+        block = self.models[0].block(1.0 / self.rate_hz)
+        if block.r > 0.0 and not block.size and block.r < 0.01**2:
+            text = f"white noise of {100.0 * math.sqrt(block.r):.2g} cm/s: few receivers measure velocity so well."
+            yield Doubt("error", text, "Many smooth it over seconds: a gauss-markov part, or a larger sd.")
+
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
+        """Of the antenna; course from 0 to 360 degrees."""
+        swing = np.cross(here.rate_eb_b, np.asarray(self.lever_arm_b_m, dtype=np.float64))
+        v = here.velocity_n + np.einsum("nij,nj->ni", here.C_nb, swing) + truth.error
+        if self.velocity:
+            return v, VELOCITY_N.names
+        course = np.mod(np.arctan2(v[:, 1], v[:, 0]), 2.0 * np.pi)
+        return np.column_stack([np.hypot(v[:, 0], v[:, 1]), course]), COURSE.names
+
+
+SPEED = Columns("wheel_speed", ("wheel_speed_m_s",), ("speed",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Odometer(BodyVelocity):
+    """Forward speed [m/s] of wheels or tracks, with non-holonomic constraints: no speed sideways, none upwards.
+
+    Parameters
+    ----------
+    constrained : bool
+        The vehicle cannot move sideways or off the ground: both speeds are read as zero beside every forward one.
+
+    Notes
+    -----
+    As `BodyVelocity`, with zeros for the second and third axis. Their errors say how much the vehicle slips sideways
+    and sways on its springs. The lever arm leads to the axle that does not steer: only there nothing moves sideways in
+    a turn. A component that contradicts the others (a wheel that spins, a side slip) is left out alone, for five
+    seconds: after that the reading is refused whole, and speaks against the inertial unit as a DVL does.
+    """
+
+    error: Errors = (White(sd=0.05), White(sd=0.1), White(sd=0.1))
+    zero_is_invalid: bool = False
+    max_speed_m_s: float = 100.0
+    constrained: bool = True
+
+    reads: ClassVar[int] = 1
+    single_gates: ClassVar[bool] = True
+    single_s: ClassVar[float] = 5.0  # wheels spin, and slip in a turn, for no longer
+    hidden: ClassVar[bool] = True  # they drive what their scale is told by
+    gives: ClassVar[str] = ""
+    jumps: ClassVar[int | None] = 0  # what holds it to its way does not
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((SPEED,),)
+    template: ClassVar[Example | None] = Example(
+        "odometer",
+        "Wheels or tracks: forward speed, and no speed sideways or upwards. The lever arm leads to the axle that does "
+        "not steer.",
+        10,
+        (
+            'error = {x = {model = "white", sd = 0.05}, y = {model = "white", sd = 0.1}, '
+            'z = {model = "white", sd = 0.1}}',
+        ),
+        (-1.0, 0.0, 0.4),
+        live=False,
+    )
+
+    @property
+    def ground(self) -> int:
+        """With constraints it tells all of the velocity."""
+        return 3 if self.constrained else 0
+
+    def read(self, value: Array) -> Array | None:
+        """The speed, and zeros (NaN without constraints)."""
+        if not abs(value[0]) <= self.max_speed_m_s or (self.zero_is_invalid and value[0] == 0.0):
+            return None
+        other = 0.0 if self.constrained else math.nan
+        return np.array([value[0], other, other])
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "forward speed of wheels" + (", and none sideways or upwards" if self.constrained else "")
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Also of constraints that are taken as exact."""
+        yield from super().doubts()
+        for axis, model in zip("yz", self.models[1:], strict=True):
+            block = model.block(1.0 / self.rate_hz)
+            if self.constrained and block.variance < 0.005**2:
+                text = "less than 5 mm/s: every vehicle slips and sways more than that."
+                yield Doubt(f"error.{axis}", text, "Usual: 0.05 to 0.2 m/s.")
+
+    def simulated(self, here: Kinematics, truth: Truth) -> SimulatedReading:
+        """The forward component; slip sideways there is none but what the motion has."""
+        value, _ = super().simulated(here, truth)
+        return value[:, :1], SPEED.names
