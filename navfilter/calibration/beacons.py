@@ -1,7 +1,5 @@
 """Beacons of unknown place: found by trying directions, the filter itself saying which of them fits."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -3,8 +3,6 @@
 What a calibration is worth: it must predict what it has not seen, stretch by stretch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """Constants by the likelihood of whole missions: Gauss-Newton, each step a run of the filter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A constant is told where little of the doubt that vehicle.toml describes is left
 twice that, red beyond. The limit is stated (`--limit`), or `LEFT` of the sd that is described.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

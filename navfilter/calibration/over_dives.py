@@ -1,7 +1,5 @@
 """`learn`: how the sensors of a vehicle err, from the fixes that come after the gaps of several dives."""
 
-from __future__ import annotations
-
 import math
 import os
 import zlib

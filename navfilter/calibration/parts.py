@@ -1,7 +1,5 @@
 """Which constants of a vehicle a calibration may estimate, and the same vehicle with other values of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence

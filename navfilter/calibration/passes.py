@@ -1,7 +1,5 @@
 """Smoothed more than once: linearised anew around the heading that the smoother found."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

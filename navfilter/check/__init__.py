@@ -3,8 +3,6 @@
 `check_mission` returns findings; `report_text` writes them as plain words. Nothing here changes a mission.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from datetime import UTC, datetime
 

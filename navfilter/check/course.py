@@ -1,7 +1,5 @@
 """Compare a body velocity with the position: which way it must be turned, scaled and shifted to follow the course."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -348,7 +346,7 @@ class _Windows(NamedTuple):
     wanted: Complex
 
     @classmethod
-    def of(cls, paths: Paths, length_s: float) -> _Windows:
+    def of(cls, paths: Paths, length_s: float) -> "_Windows":
         """Across no gap."""
         times = paths.places.time_s
         begin = max(paths.time_s[0], paths.heading[0][0], times[0]) + LEAST_S
@@ -358,7 +356,7 @@ class _Windows(NamedTuple):
         edges = without_gaps(edges, times, paths.time_s, window_s=length_s, gap_s=gap_s)
         return cls(edges, length_s, displacement(edges, length_s, times, paths.places.plane))
 
-    def part(self, begin_s: float, end_s: float) -> _Windows:
+    def part(self, begin_s: float, end_s: float) -> "_Windows":
         """Those of a time."""
         inside = (self.edges >= begin_s) & (self.edges + self.length_s <= end_s)
         return _Windows(self.edges[inside], self.length_s, self.wanted[inside])

@@ -1,7 +1,5 @@
 """Which way a body velocity must be turned, scaled and shifted to follow the positions, and how sure that is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """A vehicle in plain words: what drives it, its sensors, and what their error models mean."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby

@@ -1,7 +1,5 @@
 """The clock of a velocity against an inertial unit: both carried along by the gyros, in a frame that does not turn."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a magnetic heading is hardly one: near a magnetic pole, whose field is vertical."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from collections.abc import Iterator

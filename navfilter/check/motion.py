@@ -1,7 +1,5 @@
 """Compare sensors with each other and with the Earth: signs, axes, units, mounting and time offsets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Small mathematics on time series that the checks share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import TypeVar

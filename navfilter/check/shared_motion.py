@@ -1,7 +1,5 @@
 """What several streams say of one motion: speeds and headings on two clocks, and accelerometers against a velocity."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What one stream shows by itself: rate, gaps, repeated stamps, bursts, missing and held values, quantisation."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 another clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Numbers in the units people think in: degrees, degrees per hour, milli-g, centimetres."""
 
-from __future__ import annotations
-
 import math
 
 from navfilter.foundation.constants import MILLI_G, ROOT_HOUR

@@ -2,8 +2,6 @@
 up or whose y axis points left.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

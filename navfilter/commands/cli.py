@@ -7,8 +7,6 @@ wrong, or a replayed track is not to be trusted, 2 wrong usage or input, 130 int
 has gone; `run` has its own (see its help).
 """
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import os

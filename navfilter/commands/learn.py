@@ -1,7 +1,5 @@
 """``navfilter learn``: how the sensors of a vehicle err, from several dives, and the vehicle.toml for the next one."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

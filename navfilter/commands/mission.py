@@ -1,7 +1,5 @@
 """``navfilter mission --init LOG``: say what a log holds, and write the two files that replay it."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``navfilter montecarlo``: its arguments and what it does. Everything heavy is imported where it is used."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """``navfilter replay A B C``: many recordings side by side in processes, each into a folder of its own."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """``navfilter run``: its arguments, and what they mean. Everything heavy is imported where it is used."""
 
-from __future__ import annotations
-
 import argparse
 import datetime
 import os

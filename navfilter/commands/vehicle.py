@@ -1,7 +1,5 @@
 """``navfilter vehicle``: write a commented vehicle.toml to start from, or say in words what one describes."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -6,8 +6,6 @@ a `ReadingRule` the innovation of the very reading that it weighs, too. A rule o
 either, and goes to `adaptive_monitor`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterator
 from typing import Any, Protocol, runtime_checkable

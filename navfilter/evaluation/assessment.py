@@ -4,8 +4,6 @@ The verdict on a run: whether its track is to be trusted, what speaks against it
 that nothing in the mission could contradict is not judged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
@@ -236,7 +234,7 @@ class Assessment:
     learnt: tuple[LearnedText, ...] = ()
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
     lights: tuple[Light, ...] = ()
-    survey: SurveyFigures | None = None
+    survey: "SurveyFigures | None" = None
     control: tuple[Control, ...] = ()
     apart: Apart | None = None
 

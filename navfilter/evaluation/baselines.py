@@ -4,8 +4,6 @@ To be fair to the older models, those that are fitted here see the whole mission
 way from what it has seen so far. None of them sees the truth but ``oracle``, whose very point that is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

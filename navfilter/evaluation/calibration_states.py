@@ -1,7 +1,5 @@
 """What became of the constants that a vehicle.toml is unsure of: clocks, lever arms, scales, biases."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple

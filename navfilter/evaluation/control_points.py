@@ -1,7 +1,5 @@
 """Surveyed places against a track: where it was at their times, or how near it came to them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

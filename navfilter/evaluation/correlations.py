@@ -1,7 +1,5 @@
 """Residuals that follow the motion: a clock, a lever arm or a deviation that nobody has described."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What may speak against a track: impossible motion, lost samples, clocks, sensors that are rejected or dishonest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

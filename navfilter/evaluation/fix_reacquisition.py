@@ -1,7 +1,5 @@
 """How good a track is where no truth is known: what returning fixes say, and what the smoother changed."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What was learnt, in words: the error models in force at the end of a run beside those that vehicle.toml believed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ they would have moved, while the run stays what it was. What stands out is tried
 described, and it is said where the readings are then much likelier.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

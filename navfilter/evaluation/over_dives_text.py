@@ -1,7 +1,5 @@
 """What several dives have taught, in words, as plain values, and as spectra with their bands."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 A rule that yields an action goes on when it has been done: it then reads the new state.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from navfilter.filter.events import Event

@@ -1,7 +1,5 @@
 """What an error model makes of a channel, wherever its states stand. On board the learning thread works it out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import accumulate
@@ -78,7 +76,7 @@ class ChannelModel(NamedTuple):
         equation: tuple[Callable[..., None], Array | None],
         constants: Array,
         gates: Array,
-    ) -> ChannelModel:
+    ) -> "ChannelModel":
         """Work it out.
 
         Parameters

@@ -3,8 +3,6 @@
 Users see `navfilter.navigation.navigator` of it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """What a filter remembers: one value that holds everything that changes while it runs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,7 +74,7 @@ class FilterMemory:
     counts: dict[str, int]
     monitor: Any = None
 
-    def problem(self, fresh: FilterMemory) -> str | None:
+    def problem(self, fresh: "FilterMemory") -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is.
 
         Parameters

@@ -1,7 +1,5 @@
 """Samples of the drive as they arrive: stamps become steps, defects are repaired or dropped, and counted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

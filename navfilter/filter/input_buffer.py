@@ -4,8 +4,6 @@ They are many, so they stand in few, large pieces: who copies them, stores them,
 that lives, as Python's collector does, is soon done. All of that happens between two samples of a vehicle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -73,7 +71,7 @@ class Rows:
             self.pieces[i:] = [self.pieces[i].copy()]
             self.count = count
 
-    def so_far(self) -> Rows:
+    def so_far(self) -> "Rows":
         """The same to be read only, whatever comes. Nothing is copied: what they hold is not written over."""
         pieces = list(self.pieces)
         if pieces:
@@ -175,20 +173,20 @@ class InputBuffer:
                 del self.sds[number]
         self.samples.cut(samples)
 
-    def so_far(self) -> InputBuffer:
+    def so_far(self) -> "InputBuffer":
         """The same to be read only, whatever comes."""
         return InputBuffer(
             self.names, self.samples.so_far(), self.readings.so_far(), self.values.so_far(), dict(self.sds)
         )
 
-    def first(self, samples: int, readings: int) -> InputBuffer:
+    def first(self, samples: int, readings: int) -> "InputBuffer":
         """The first of them, as they are stored: each kind in one piece."""
         heads = self.readings.whole(readings)
         values = self.values.whole(int(heads[-1, VALUES]) if readings else 0)
         given, heard, read = (Rows(t.shape[1], len(t), [t]) for t in (self.samples.whole(samples), heads, values))
         return InputBuffer(self.names, given, heard, read, {n: sd for n, sd in self.sds.items() if n < readings})
 
-    def again(self, names: tuple[str, ...]) -> InputBuffer:
+    def again(self, names: tuple[str, ...]) -> "InputBuffer":
         """The same from what was stored, for a vehicle with these sensors.
 
         Raises

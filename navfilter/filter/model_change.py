@@ -1,7 +1,5 @@
 """A change of error models while the filter runs: how the states follow it without a jump."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@
 its own memory, and changes the filter by actions only (`navfilter.filter.actions`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any, Protocol
 

@@ -4,8 +4,6 @@ A store of vectors that stays in memory while it is small, and goes to a tempora
 day-long mission needs no more memory than an hour.
 """
 
-from __future__ import annotations
-
 import bisect
 import contextlib
 import copy
@@ -328,7 +326,7 @@ class _Column:
             spare = np.empty((needed + len(self.rows) // 4 - len(self.rows), self.rows.shape[1]))
             self.rows = np.concatenate([self.rows, spare])
 
-    def after(self, before: _Column) -> _Column:
+    def after(self, before: "_Column") -> "_Column":
         """This column, its first rows those of the one before."""
         joined = _Column(self.axes)
         joined.rows = np.concatenate([before.rows[: before.used], self.rows[before.used : self.used]])
@@ -416,7 +414,7 @@ class Tape(Shown):
         """How often the run has begun again so far."""
         return 0 if self.given is None else self.given.times_begun + 1
 
-    def as_of(self, times_begun: int) -> Tape:
+    def as_of(self, times_begun: int) -> "Tape":
         """The tape as it was when the run had begun again so often, with its records where another was `lent` them."""
         return self if self.given is None or self.times_begun <= times_begun else self.given.as_of(times_begun)
 
@@ -554,7 +552,7 @@ class Tape(Shown):
         """Residuals of every sensor that was heard of, of the last time that the run began."""
         return {name: column.residuals() for name, column in self.columns.items()}
 
-    def append(self, other: Tape, records: int | None = None, rows: int | None = None) -> None:
+    def append(self, other: "Tape", records: int | None = None, rows: int | None = None) -> None:
         """Everything that another tape holds for the smoother, or the first of its records and rows."""
         before, layouts = len(self.records), len(self.layouts)
         records = len(other.records) if records is None else records
@@ -582,7 +580,7 @@ class Tape(Shown):
         after = column.rows[max(first, then) : column.used]
         return np.concatenate([self.given.first_notes(name, first), after]) if first < then else after
 
-    def first_rows(self) -> list[tuple[Tape, range]]:
+    def first_rows(self) -> "list[tuple[Tape, range]]":
         """Where the rows stand that were the first ones of their times, in order: a tape, and its rows."""
         if self.given is None:
             return [(self, range(len(self.row_times)))]

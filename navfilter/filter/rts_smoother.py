@@ -1,7 +1,5 @@
 """Fixed-interval smoothing over the tape of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Working memory of one correcting sensor: one array shared with the kernels."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Sequence
@@ -195,12 +193,12 @@ class Channel:
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
 
-    def first_of(self, channels: Sequence[Channel]) -> int:
+    def first_of(self, channels: "Sequence[Channel]") -> int:
         """Place of the first channel of the same instrument."""
         return next(i for i, channel in enumerate(channels) if channel is self or channel in self.others)
 
     @property
-    def predecessor(self) -> Channel | None:
+    def predecessor(self) -> "Channel | None":
         """The channel by which the same instrument was heard last, where that is another one."""
         latest = max(self.others, key=lambda other: other.memory.last_s, default=self)
         return latest if latest.memory.last_s > self.memory.last_s else None

@@ -4,8 +4,6 @@
 parameters ]``
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -82,7 +80,7 @@ class Group:
         axis_units: Sequence[str],
         prefix: str = "",
         wandering: Mapping[str, Any] | None = None,
-    ) -> Group:
+    ) -> "Group":
         """Stack the blocks of the axes and the parameters; those that are not constant have a block in `wandering`.
 
         A parameter is the output of its block. Of the further states of the block, which are parameters too, see
@@ -171,7 +169,7 @@ class Layout:
         return 0
 
     @classmethod
-    def of(cls, vehicle: Any, like: tuple[Any, Layout] | None = None) -> Layout:
+    def of(cls, vehicle: Any, like: "tuple[Any, Layout] | None" = None) -> "Layout":
         """Lay out a vehicle's states.
 
         Parameters

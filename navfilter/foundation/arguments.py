@@ -1,7 +1,5 @@
 """What users hand over: made into what the rest works on where it comes in, or refused in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from os import PathLike

@@ -1,7 +1,5 @@
 """Limits of chi-square."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv

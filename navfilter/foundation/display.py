@@ -2,8 +2,6 @@
 notebook, both by the same title and rows; and when two of them are equal.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping

@@ -2,8 +2,6 @@
 they are typed in.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

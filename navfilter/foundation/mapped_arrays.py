@@ -1,7 +1,5 @@
 """Arrays that lie in a file and not in memory: recordings that are larger than it."""
 
-from __future__ import annotations
-
 import mmap
 import shutil
 import tempfile

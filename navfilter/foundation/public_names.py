@@ -2,8 +2,6 @@
 modules that have moved not at all.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

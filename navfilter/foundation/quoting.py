@@ -3,8 +3,6 @@
 Whatever a file calls its topics stays a name: it ends no string and no comment, and steers no terminal.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import math

@@ -7,23 +7,24 @@ append-only storage that a cursor beside them bounds (a ring of samples, the inp
 them, and going back moves the cursor only.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
+import functools
 import json
 import math
-import sys
+import types
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.foundation.arrays import Array, Ints
+
 T = TypeVar("T")
 
-#: Annotations of fields whose own `copy` is a whole one.
-_FLAT = {"Array", "NDArray[np.int64]", "dict[str, int]", "dict[str, tuple[float, ...]]"}
+#: What fields are stated to hold whose own `copy` is a whole one.
+_FLAT = (Array, Ints, dict[str, int], dict[str, tuple[float, ...]])
 
 
 class _Copiers(dict[type, Callable[[Any], Any] | None]):
@@ -40,11 +41,10 @@ def _is_state(kind: type) -> bool:
 
 
 def _state_copier(kind: type) -> Callable[[Any], Any]:
-    own = [
-        f for f in dataclasses.fields(kind) if f.name not in getattr(kind, "SHARED", ()) and not _rests(f.type, kind)
-    ]
-    flat = tuple(f.name for f in own if f.type in _FLAT)
-    nested = tuple(f.name for f in own if f.type not in _FLAT)
+    shared = getattr(kind, "SHARED", ())
+    own = {name: stated for name, stated in _stated(kind).items() if name not in shared and not _rests(stated)}
+    flat = tuple(name for name, stated in own.items() if stated in _FLAT)
+    nested = tuple(name for name in own if name not in flat)
 
     def copy(value: Any) -> Any:
         # ten times a second on board: all fields at once, then those that are not shared
@@ -62,13 +62,21 @@ def _state_copier(kind: type) -> Callable[[Any], Any]:
     return copy
 
 
-def _rests(stated: Any, kind: type) -> bool:
-    """Whether a field of a class, by what is stated of it, holds what cannot change: numbers, tuples, frozen values."""
-    if str(stated).startswith("tuple["):
-        return True
-    there = vars(sys.modules[kind.__module__])
-    known = [there.get(name) for part in str(stated).split("|") if (name := part.strip()) not in _PLAIN]
-    return all(isinstance(one, type) and dataclasses.is_dataclass(one) and not _is_state(one) for one in known)
+@functools.cache
+def _stated(kind: Any) -> dict[str, Any]:
+    """What the fields of a dataclass are stated to hold."""
+    hints = get_type_hints(kind)
+    return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
+
+
+def _choices(stated: Any) -> tuple[Any, ...]:
+    return get_args(stated) if isinstance(stated, types.UnionType) else (stated,)
+
+
+def _rests(stated: Any) -> bool:
+    """Whether a field, by what is stated of it, holds what cannot change: numbers, tuples, frozen values."""
+    known: list[Any] = [one for one in _choices(stated) if one not in _PLAIN]
+    return get_origin(stated) is tuple or all(_has_fields(one) and not _is_state(one) for one in known)
 
 
 def _copied_dict(value: dict[Any, Any]) -> dict[Any, Any]:
@@ -115,9 +123,10 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
     if _is_state(type(like)):
         if type(value) is not type(like):
             return f"{where} must be a {type(like).__name__}, found {type(value).__name__}"
-        for f in dataclasses.fields(like):
-            own, place = getattr(value, f.name), f"{where}.{f.name}"
-            problem = misfit(own, getattr(like, f.name), place) or _misnamed(own, f.type, type(like), place)
+        kind: Any = type(like)
+        for name, stated in _stated(kind).items():
+            own, place = getattr(value, name), f"{where}.{name}"
+            problem = misfit(own, getattr(like, name), place) or _misnamed(own, stated, place)
             if problem:
                 return problem
         return None
@@ -131,33 +140,25 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
     return None
 
 
-def _misnamed(value: Any, stated: Any, kind: type, where: str) -> str | None:
-    """Where a field of a class that states values of certain others, or None, holds something else; and so on in the
+def _misnamed(value: Any, stated: Any, where: str) -> str | None:
+    """Where a field that is stated to hold values of certain classes, or None, holds something else; and so on in the
     fields of such a value. What is stated in other words may be anything.
     """
-    names = [part.strip() for part in str(stated).split("|")]
-    there = vars(sys.modules[kind.__module__])
-    classes = {name: _PLAIN.get(name, there.get(name)) for name in names}
-    if not all(isinstance(known, tuple) or dataclasses.is_dataclass(known) for known in classes.values()):
+    classes = _choices(stated)
+    if not all(known in _PLAIN or dataclasses.is_dataclass(known) for known in classes):
         return None
-    if not any(
-        type(value) in known if isinstance(known, tuple) else type(value) is known for known in classes.values()
-    ):
+    if not any(type(value) in _PLAIN.get(known, (known,)) for known in classes):
+        names = ("None" if known is type(None) else known.__name__ for known in classes)
         return f"{where} must be {' or '.join(names)}, found {type(value).__name__}"
     if not dataclasses.is_dataclass(value) or _is_state(type(value)):
         return None
-    own = ((f, getattr(value, f.name)) for f in dataclasses.fields(value))
-    return next((m for f, v in own if (m := _misnamed(v, f.type, type(value), f"{where}.{f.name}"))), None)
+    kind: Any = type(value)
+    own = ((name, one, getattr(value, name)) for name, one in _stated(kind).items())
+    return next((m for name, one, v in own if (m := _misnamed(v, one, f"{where}.{name}"))), None)
 
 
-#: By their names in annotations.
-_PLAIN: dict[str, tuple[type, ...]] = {
-    "float": (float, int),
-    "int": (int,),
-    "bool": (bool,),
-    "str": (str,),
-    "None": (type(None),),
-}
+#: What a value stated to be one of these may be.
+_PLAIN: dict[Any, tuple[type, ...]] = {kind: (kind,) for kind in (int, bool, str, type(None))} | {float: (float, int)}
 
 
 # ---------------------------------------------------------------- to arrays and back

@@ -3,8 +3,6 @@
 Seconds are those of POSIX: every day has 86400 of them, a leap second repeats one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 from typing import Any

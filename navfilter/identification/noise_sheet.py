@@ -1,7 +1,5 @@
 """The noise sheet of an inertial unit: what a data sheet says, from a record at rest, with uncertainties."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -102,8 +100,8 @@ class AxisSheet:
     quantisation: float
     quantisation_sd: float
     step: float
-    lines: tuple[Line, ...]
-    allan: AllanCurve
+    lines: "tuple[Line, ...]"
+    allan: "AllanCurve"
     bands: Bands
     notes: tuple[str, ...]
 

@@ -1,7 +1,5 @@
 """The page of a noise sheet: tables, Allan deviations with error bars, spectra, and what of the record is at rest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A noise sheet in the units of data sheets: rows, text, numbers for other programs, and the ``[drive]`` table."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

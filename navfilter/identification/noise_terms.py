@@ -4,8 +4,6 @@ Each band of coefficients (see `navfilter.identification.noise_terms`) is a chi-
 the curvature of the likelihood is the uncertainty.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -95,7 +93,7 @@ class NoiseFit:
 
 
 def fit_terms(
-    bands: Bands, kinds: Sequence[str] = (), fixed: tuple[str, float] | None = None, fastest_s: float = 0.0
+    bands: "Bands", kinds: Sequence[str] = (), fixed: tuple[str, float] | None = None, fastest_s: float = 0.0
 ) -> NoiseFit:
     """Fit white noise with a tilt, and further terms.
 
@@ -126,7 +124,7 @@ class _Problem:
     further term.
     """
 
-    def __init__(self, bands: Bands, kinds: Sequence[str], fixed: tuple[str, float] | None, fastest_s: float) -> None:
+    def __init__(self, bands: "Bands", kinds: Sequence[str], fixed: tuple[str, float] | None, fastest_s: float) -> None:
         self.bands, self.kinds = bands, tuple(kinds)
         self.shapes = {kind: bands.mean(kind) for kind in ("white", "tilt", "flicker", "walk")}
         self.given = 0.0 if fixed is None else fixed[1] ** 2 * self.shapes[fixed[0]]
@@ -220,7 +218,7 @@ def _read(problem: _Problem, at: Array, cost: float) -> NoiseFit:
     return NoiseFit(tuple(terms), ratio, *rise, float(bands.high.max()), cost, *counts, dispersion)
 
 
-def _dispersion(bands: Bands, model: Array, parameters: int) -> float:
+def _dispersion(bands: "Bands", model: Array, parameters: int) -> float:
     """Deviance of the bands over what it is by chance; 1 where chance explains it."""
     ratio, half = bands.power / model, 0.5 * bands.count
     deviance = float(np.sum(2.0 * half * (ratio - 1.0 - np.log(ratio))))
@@ -282,7 +280,7 @@ class Bands:
     count: Array
     rate_hz: float
 
-    def below(self, frequency_hz: float) -> Bands:
+    def below(self, frequency_hz: float) -> "Bands":
         """The bands up to a frequency."""
         keep = self.high <= frequency_hz
         return Bands(self.power[keep], self.low[keep], self.high[keep], self.count[keep], self.rate_hz)

@@ -1,7 +1,5 @@
 """The online estimator's coefficients along a recorded series, as a vehicle would have seen them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The figures of an identification: series, spectra, correlations, order surfaces,
 deviation.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator

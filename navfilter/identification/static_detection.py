@@ -1,7 +1,5 @@
 """Which parts of a record of an inertial unit are at rest, and whether what looks like rest is a slow motion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

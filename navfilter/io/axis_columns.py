@@ -1,7 +1,5 @@
 """What columns are by their names: units behind a name, and the axes of gyros and accelerometers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

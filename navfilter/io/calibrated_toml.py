@@ -1,7 +1,5 @@
 """A vehicle.toml with calibrated constants put in; comments, units and all else stay."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """From raw columns to SI: sentinels, units, scale, axes, mounting, clocks."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Arrays inside .npy, .npz and .mat files (version 5 and 7.3), by name; nested names are joined with dots."""
 
-from __future__ import annotations
-
 import contextlib
 import zipfile
 from pathlib import Path

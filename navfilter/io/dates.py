@@ -1,7 +1,5 @@
 """Dates and times of day as text -> seconds: one order of day and month for a whole file, and never today's date."""
 
-from __future__ import annotations
-
 import datetime
 import re
 from typing import Any, NamedTuple

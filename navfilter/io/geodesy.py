@@ -1,7 +1,5 @@
 """Coordinates of files -> latitude, longitude, height, NED velocity and roll, pitch, yaw."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navfilter.foundation.arrays import Array

@@ -1,7 +1,5 @@
 """The six axes of an inertial unit from whatever holds them: a mission, a log, or any table."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence
@@ -76,7 +74,7 @@ class ImuRecord:
     value: Array
     notes: tuple[str, ...]
 
-    def part(self, from_s: float | None, to_s: float | None) -> ImuRecord:
+    def part(self, from_s: float | None, to_s: float | None) -> "ImuRecord":
         """The samples between two times of the file's clock.
 
         Raises

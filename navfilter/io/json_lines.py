@@ -13,8 +13,6 @@ log holds the readings in the order of their arrival, byte for byte as they came
 ``"event"`` (see `Note`).
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import math
@@ -82,7 +80,7 @@ class BadLine(NamedTuple):
     lines: int = 1
 
     @classmethod
-    def several(cls, kind: str, lines: int) -> BadLine:
+    def several(cls, kind: str, lines: int) -> "BadLine":
         """So many lines of a kind that are not quoted any more."""
         return cls(kind, "", _dump({"event": "bad", "kind": kind, "lines": lines}), lines)
 

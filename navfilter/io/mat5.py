@@ -5,8 +5,6 @@ This walk through the elements (MathWorks, "MAT-File Format", 2019) refuses ever
 each other.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

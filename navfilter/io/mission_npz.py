@@ -1,7 +1,5 @@
 """navfilter's own mission file: one .npz, written by `Mission.save`."""
 
-from __future__ import annotations
-
 import datetime
 import json
 from pathlib import Path

@@ -6,8 +6,6 @@ state. With several sources the first gives the clock and the others are interpo
 them is their mean.
 """
 
-from __future__ import annotations
-
 import datetime
 import math
 from collections.abc import Iterator
@@ -75,7 +73,7 @@ class Component(Strict):
     radius_m: float | None = Field(default=None, gt=0)
 
     @model_validator(mode="after")
-    def _one_origin(self) -> Component:
+    def _one_origin(self) -> "Component":
         if sum(v is not None for v in (self.column, self.constant, self.mean)) != 1:
             raise ValueError("give exactly one of column, constant and mean")
         if self.mean is not None and not self.mean:
@@ -163,7 +161,7 @@ class Clock(Strict):
         return value
 
     @model_validator(mode="after")
-    def _column_or_rate(self) -> Clock:
+    def _column_or_rate(self) -> "Clock":
         if (self.column is None) == (self.rate_hz is None):
             raise ValueError("give either the column of times or rate_hz (with start_s)")
         if self.unit != "iso8601" and (self.order is not None or isinstance(self.column, tuple)):
@@ -200,7 +198,7 @@ class Source(TableOptions):
         return {name: group for name, group in given.items() if group is not None}
 
     @model_validator(mode="after")
-    def _sizes(self) -> Source:
+    def _sizes(self) -> "Source":
         if not set(self.groups()) - {SD}:
             raise ValueError(f"a source needs at least one group of columns (known: {', '.join(groups())}, {SERIES})")
         for name, group in self.groups().items():
@@ -261,7 +259,7 @@ class SensorStream(StreamSpec):
     """A stream of readings: its groups must form one of `contents`."""
 
     @model_validator(mode="after")
-    def _contents(self) -> SensorStream:
+    def _contents(self) -> "SensorStream":
         given = set(self.groups()) - {SD}
         if self.lever_arm_b_m is not None:
             raise ValueError("the lever arm of a sensor belongs into vehicle.toml; here only [truth] has one")
@@ -298,7 +296,7 @@ class TruthStream(StreamSpec):
     """The reference trajectory; the lever arm leads from the point the vehicle navigates to the point of the truth."""
 
     @model_validator(mode="after")
-    def _contents(self) -> TruthStream:
+    def _contents(self) -> "TruthStream":
         given = set(self.groups())
         if not given <= set(TRUTH_GROUPS):
             raise ValueError(
@@ -354,7 +352,7 @@ class DuringSpec(Strict):
     why: str = ""
 
     @model_validator(mode="after")
-    def _says_something(self) -> DuringSpec:
+    def _says_something(self) -> "DuringSpec":
         if not self.from_s < self.to_s:
             raise ValueError(f"from_s must be before to_s, found {self.from_s:g} and {self.to_s:g}")
         if not (self.off or self.noise != 1.0 or self.keys):
@@ -384,7 +382,7 @@ class MissionSpec(Strict):
         raise ValueError('must be the UTC at which the stamps read zero, such as 2026-06-01T08:30:00Z, or "unknown"')
 
     @model_validator(mode="after")
-    def _something(self) -> MissionSpec:
+    def _something(self) -> "MissionSpec":
         if not self.streams and self.truth is None and self.log is None:
             raise ValueError("there is no stream; add [streams.NAME], named as the sensor in vehicle.toml")
         if self.start is not None and self.start.source == "truth" and self.truth is None:

@@ -3,8 +3,6 @@
 When and where a mission begins: UTC of its stamps and its start, by its mission.toml, its stamps or its truth.
 """
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Iterable
 from dataclasses import replace

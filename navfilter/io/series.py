@@ -2,8 +2,6 @@
 stream.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Stamps of one recording: counters that begin anew, stamps that no neighbour supports, and runs behind one another."""
 
-from __future__ import annotations
-
 import bisect
 import datetime
 import itertools

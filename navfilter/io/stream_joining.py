@@ -1,7 +1,5 @@
 """Joining the sources of a stream: interpolation onto one clock, means of several, means of consecutive rows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navfilter.foundation.arrays import Array, Mask

@@ -1,7 +1,5 @@
 """Columns of one file or of one topic of a log: what every reader hands over."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -145,7 +143,7 @@ class Where(Strict):
     known: bool | None = None
 
     @model_validator(mode="after")
-    def _one_condition(self) -> Where:
+    def _one_condition(self) -> "Where":
         if self.equals is None and self.at_least is None and self.at_most is None and self.known is None:
             raise ValueError("give equals, at_least, at_most or known")
         return self

@@ -4,8 +4,6 @@
 whatever was skipped on the way is counted in `Table.notes`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ What a file of somebody else's logger may hold beside its rows (a comment, zero 
 that was cut) is taken out and counted; nothing that remains is read otherwise than the file says it.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io

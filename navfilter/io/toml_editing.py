@@ -16,8 +16,6 @@ Comments, units and all else stay. The tables are::
     evidence = [[..], ..]                       # ln of the likelihood of all candidates
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Mapping

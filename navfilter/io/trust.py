@@ -1,7 +1,5 @@
 """How far files from elsewhere are trusted: what they may unpack to, where they may lie, what messages say of them."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import lzma
@@ -80,12 +78,12 @@ class Place:
     allowance: Allowance = field(default_factory=Allowance, compare=False)
 
     @classmethod
-    def of(cls, path: Path) -> Place:
+    def of(cls, path: Path) -> "Place":
         """A file that the user named."""
         return cls(path, str(path))
 
     @classmethod
-    def of_mission(cls, file: str, folder: Path, confine: bool, allowance: Allowance) -> Place:
+    def of_mission(cls, file: str, folder: Path, confine: bool, allowance: Allowance) -> "Place":
         """A file that a mission.toml names (see `expand`).
 
         Raises

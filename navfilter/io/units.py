@@ -1,7 +1,5 @@
 """Units of somebody else's files and what they are in SI: the only table of its kind."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

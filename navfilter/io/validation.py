@@ -1,7 +1,5 @@
 """Strict models for .toml files, and their errors in words: every mistake at once, with place, value and cure."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """The keys of a vehicle.toml: what a number of that name may be, and its spelling in another unit."""
 
-from __future__ import annotations
-
 import re
 import types
 import typing

@@ -4,8 +4,6 @@ A line that begins with ``#key`` states a default: taking the ``#`` away changes
 words. The words and the defaults come from the classes themselves.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math

@@ -9,8 +9,6 @@ list of tables (their sum) or a table with one error per axis (``{x = .., y = ..
 ``slow = [{model = "gauss-markov", ..}, ..]`` beside it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import tomllib
@@ -257,7 +255,7 @@ class _Spec(Strict):
         return result
 
     @model_validator(mode="after")
-    def _buildable(self) -> _Spec:
+    def _buildable(self) -> "_Spec":
         # Built here and thrown away, so that what the class itself refuses stands beside the mistakes in other tables.
         wrong: list[tuple[str, str]] = []
         _built(self, "", wrong, {"rate_hz": 1.0})

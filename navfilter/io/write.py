@@ -2,8 +2,6 @@
 vehicle_learned.toml where it learnt.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Collection, Mapping

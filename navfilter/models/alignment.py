@@ -1,7 +1,5 @@
 """Initial alignment: a start from a mission's own first readings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

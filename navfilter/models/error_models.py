@@ -8,8 +8,6 @@ Every model is turned, once, at the sensor's own period, into a `Block`, the onl
 Models add: ``White(sd=0.5) + GaussMarkov(sd=0.6, tau_s=30)`` is the sum of two independent errors.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -81,7 +79,7 @@ def block_level(block: Block) -> float:
     return float(response @ block.Q @ response) + block.r
 
 
-def stated_variance(model: ErrorModel) -> float:
+def stated_variance(model: "ErrorModel") -> float:
     """Of a single reading where a description begins, at one in a second: what it believes of it beforehand."""
     return model.block(1.0).variance
 
@@ -112,7 +110,7 @@ class ErrorModel(FrozenDescription):
     """Base of all error models; a model is a frozen value and models add with ``+``."""
 
     @property
-    def terms(self) -> tuple[ErrorModel, ...]:
+    def terms(self) -> "tuple[ErrorModel, ...]":
         """The errors it is the sum of: itself, if it is no sum."""
         return (self,)
 
@@ -164,7 +162,7 @@ class ErrorModel(FrozenDescription):
             return _as_walk(block)
         return Integrated(block_level(block))
 
-    def __add__(self, other: ErrorModel) -> Sum:
+    def __add__(self, other: "ErrorModel") -> "Sum":
         if not isinstance(other, ErrorModel):
             return NotImplemented
         return Sum((*self.terms, *other.terms))

@@ -1,7 +1,5 @@
 """Constants of sensors that have jumped: error models in force get them under way, and lose them again."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a run reports of itself: the condition of sensors, drive, lanes and learning, bounds of its error, and trust."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 
@@ -151,8 +149,8 @@ class Health(Value):
     drive: dict[str, int]
     clock_offset_s: float = 0.0
     axes: dict[str, str] = field(default_factory=dict)
-    bounds: Bounds | None = None
-    trust: Trust | None = None
+    bounds: "Bounds | None" = None
+    trust: "Trust | None" = None
     lane: str = ""
     drive_clock_offset_s: float = 0.0
     learning: LearningHealth = field(default=LearningHealth(), compare=False)

@@ -5,8 +5,6 @@ The spectrum is split into one term per pole (partial fractions) plus what is le
 pole lies with its uncertainty. A model that is no such sum of independent noises is described by its poles alone.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

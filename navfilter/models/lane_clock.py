@@ -1,7 +1,5 @@
 """When lanes may begin anew, and what the lane without an inertial unit is fed with."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

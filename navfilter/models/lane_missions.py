@@ -1,7 +1,5 @@
 """What one lane of a vehicle reads of a mission, and a run as if one of the inertial units were the only one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The error model that is learnt while the vehicle moves, and how its states follow a change of the model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The Earth's magnetic field for compasses: declination, its error, and the iron calibration of a magnetometer."""
 
-from __future__ import annotations
-
 import datetime
 from typing import NamedTuple
 

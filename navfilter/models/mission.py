@@ -1,7 +1,5 @@
 """Mission and Stream: recorded readings, one time-stamped stream per sensor name."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import json
@@ -123,12 +121,12 @@ class Stream(Value):
     def _shown(self) -> tuple[str, dict[str, object]]:
         return f"Stream{span(self.time_s)}, {self.in_words}", {}
 
-    def keep(self, rows: Any) -> Stream:
+    def keep(self, rows: Any) -> "Stream":
         """Same columns, only the given rows (a mask, a slice or increasing indices)."""
         rows = rows_of(rows)
         return Stream(self.time_s[rows], self.value[rows], self.columns, None if self.sd is None else self.sd[rows])
 
-    def later(self, by_s: float) -> Stream:
+    def later(self, by_s: float) -> "Stream":
         """The same readings on a clock that stands `by_s` ahead [s]."""
         return dataclasses.replace(self, time_s=self.time_s + by_s)
 
@@ -258,7 +256,7 @@ class Mission(Value):
             )
         return self.streams[name]
 
-    def between(self, t0_s: float, t1_s: float) -> Mission:
+    def between(self, t0_s: float, t1_s: float) -> "Mission":
         """The part of the mission with t0_s <= time <= t1_s; a start outside it is dropped."""
         ((t0_s, t1_s),) = given.intervals([(t0_s, t1_s)], "between")
         if not t0_s < t1_s:
@@ -279,22 +277,22 @@ class Mission(Value):
             start=start,
         )
 
-    def hide(self, name: str, *intervals: tuple[float, float]) -> Mission:
+    def hide(self, name: str, *intervals: tuple[float, float]) -> "Mission":
         """Without the readings of one stream inside the closed intervals (t0_s, t1_s)."""
         stream = self.stream(name)
         hidden = given.within(stream.time_s, given.intervals(intervals, "hide"))
         return self.with_stream(name, stream.keep(~hidden))
 
-    def with_stream(self, name: str, stream: Stream) -> Mission:
+    def with_stream(self, name: str, stream: Stream) -> "Mission":
         """A copy in which one stream is added or replaced."""
         return dataclasses.replace(self, streams={**self.streams, name: stream})
 
-    def without_stream(self, name: str) -> Mission:
+    def without_stream(self, name: str) -> "Mission":
         """A copy without one stream."""
         self.stream(name)
         return dataclasses.replace(self, streams={k: v for k, v in self.streams.items() if k != name})
 
-    def with_start(self, start: Any) -> Mission:
+    def with_start(self, start: Any) -> "Mission":
         """A copy that begins as the given `navfilter.Start` says."""
         return dataclasses.replace(self, start=start)
 

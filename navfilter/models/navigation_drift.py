@@ -1,7 +1,5 @@
 """What a navigation error does to the open-loop residual of a sensor: a chain of integrators whose noise is known."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol

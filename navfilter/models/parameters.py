@@ -1,7 +1,5 @@
 """Parameters: the states of a sensor or drive beside its error model, such as lever arms, scales and clocks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, SupportsFloat

@@ -1,7 +1,5 @@
 """The same description of a sensor with its quick errors, and its slow ones, larger or smaller by a factor."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

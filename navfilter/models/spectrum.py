@@ -1,7 +1,5 @@
 """The spectrum of a learnt error, with its uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -37,7 +35,7 @@ class Spectrum:
     sd_log_s0: float
 
     @classmethod
-    def weighted(cls, frequency_hz: Array, density: Array, weight: Array) -> Spectrum:
+    def weighted(cls, frequency_hz: Array, density: Array, weight: Array) -> "Spectrum":
         """Of spectra, shape (n, frequencies), with weights whose sum is one."""
         low, median, high = (tuple(each) for each in quantiles(density, weight, (0.05, 0.5, 0.95)).tolist())
         log = np.log(np.maximum(density[:, 0], 1e-300))

@@ -1,7 +1,5 @@
 """The start of a run: where the vehicle is, and how well that is known."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The nominal state of the vehicle, with `plus` and `minus`, and the rotation algebra that they need."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -105,7 +103,7 @@ class Pose(NamedTuple):
     C_nb: tuple[float, ...]
 
     @classmethod
-    def unpack(cls, time_s: float, nav: Array) -> Pose:
+    def unpack(cls, time_s: float, nav: Array) -> "Pose":
         """From the vector of the kernels, see `NavState.pack`."""
         v = nav.tolist()
         return cls(time_s, v[0], v[1], v[2], (v[3], v[4], v[5]), tuple(v[6:15]))
@@ -205,7 +203,7 @@ class NavState(Value):
         """Standard deviations of the nine errors (metres, m/s, rad); NaN without a covariance."""
         return np.full(9, np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
-    def plus(self, error: ArrayLike) -> NavState:
+    def plus(self, error: ArrayLike) -> "NavState":
         """Move the state by a small vector (position [m] in n, velocity [m/s], rotation vector in n [rad]).
 
         A correction by an estimated error is ``state.plus(-error)``. The covariance is carried along unchanged.
@@ -224,7 +222,7 @@ class NavState(Value):
             self.covariance,
         )
 
-    def minus(self, other: NavState) -> Array:
+    def minus(self, other: "NavState") -> Array:
         """The vector, shape (9,), that takes `other` to this state: ``other.plus(self.minus(other))`` is this state to
         first order.
         """
@@ -243,7 +241,7 @@ class NavState(Value):
         )
 
     @classmethod
-    def unpack(cls, time_s: float, nav: Array, covariance: Array | None = None) -> NavState:
+    def unpack(cls, time_s: float, nav: Array, covariance: Array | None = None) -> "NavState":
         """The inverse of `pack`; copies."""
         latitude, longitude, height = nav[:3].tolist()
         C_nb = nav[6:15].reshape(3, 3).copy()

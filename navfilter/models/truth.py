@@ -4,8 +4,6 @@ Written from the definitions, exactly (rotation matrices, radii of the ellipsoid
 sharing nothing with the measurement models of the filter, which are tested against it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The vehicle: what drives it, and its named sensors."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -138,7 +136,7 @@ class Vehicle:
         """What carries the state, by the names of the streams that it reads."""
         return dict(self.imus) or dict.fromkeys(self.drive.streams, self.drive)
 
-    def lanes(self) -> dict[str, Vehicle]:
+    def lanes(self) -> "dict[str, Vehicle]":
         """What is run side by side: a vehicle with a single drive for each inertial unit, and one without any; empty
         for a vehicle with one drive and no lane beside it.
 
@@ -166,7 +164,7 @@ class Vehicle:
             )
         return lanes
 
-    def _reckoning(self) -> Vehicle:
+    def _reckoning(self) -> "Vehicle":
         """The lane without an inertial unit: as if the one there were dead."""
         unit = next(iter(self.units.values()))
         drive = DeadReckoningLane(
@@ -184,7 +182,7 @@ class Vehicle:
         parts = {**drives, **self.sensors}
         return card(f"Vehicle {self.name}", {name: typed(part) for name, part in parts.items()})
 
-    def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
+    def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> "Vehicle":
         """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
         the drive; of several units, for each, or with the name of one: ``a.gyro``).
         """
@@ -206,17 +204,17 @@ class Vehicle:
                 )
         return self._with(drives, sensors)
 
-    def with_lane(self, name: str, lane: Vehicle) -> Vehicle:
+    def with_lane(self, name: str, lane: "Vehicle") -> "Vehicle":
         """The same vehicle with what another one of its lanes (`lanes`) is: its inertial unit, and the sensors."""
         sensors = {key: lane.sensors[key] for key in self.sensors}
         return self._with({**self.imus, name: lane.drive} if self.imus else {"": lane.drive}, sensors)
 
-    def _with(self, drives: Mapping[str, Any], sensors: dict[str, Sensor]) -> Vehicle:
+    def _with(self, drives: Mapping[str, Any], sensors: dict[str, Sensor]) -> "Vehicle":
         """The same with other drives (by name where there are several units) and sensors."""
         imus = drives if self.imus else {}
         return _again(next(iter(drives.values())), sensors, self.name, imus, self.dead_reckoning_lane)
 
-    def at(self, start: Start) -> Vehicle:
+    def at(self, start: Start) -> "Vehicle":
         """The same vehicle as it is at this place: with what a compass errs by near a magnetic pole. It is what a run
         and a simulation go by; itself where nothing is different.
         """
@@ -225,7 +223,7 @@ class Vehicle:
             return self
         return self._with(self.imus or {"": drive}, sensors)
 
-    def without(self, *names: str) -> Vehicle:
+    def without(self, *names: str) -> "Vehicle":
         """The same vehicle without some of its sensors."""
         for key in names:
             if not isinstance(key, str):

@@ -11,8 +11,6 @@ are left out, and the attitude is contradicted, it is the gyros that the filter 
 The second filter is there only while something is in doubt: nothing is taken by kernels in stretches meanwhile.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

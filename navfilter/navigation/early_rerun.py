@@ -2,8 +2,6 @@
 thread, whose place the run then takes.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections import deque
@@ -110,7 +108,7 @@ def _change_places(nav: Run, other: Run) -> None:
         prompt.exchange(other.fast_paths[name])
 
 
-def _let_go(twin: ShadowRun) -> None:
+def _let_go(twin: "ShadowRun") -> None:
     """Free what is left of a run, on the thread.
 
     Its parts refer to each other, so Python's collector would come upon them in the middle of a call; and a

@@ -2,8 +2,6 @@
 time.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
@@ -70,7 +68,7 @@ class History:
         """From when on `ready` has something to do before a reading [s]."""
         return self.marked_s + (self.SPACING_S if self._forgotten is None else 0.5 * self.SPACING_S)
 
-    def change_places(self, other: History) -> None:
+    def change_places(self, other: "History") -> None:
         """Have the past of another run over the same inputs, and that this one's."""
         for name in ("_marks", "inputs", "_first", "marked_s"):
             own = getattr(self, name)

@@ -1,7 +1,5 @@
 """An ordinary reading or sample live: one call of a kernel takes it, as in a replay one takes many."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from typing import Any
@@ -283,7 +281,7 @@ class MeasurementFastPath:
         self._due_s = min(looks_s, early_s, history.due_s)
         return False
 
-    def exchange(self, other: MeasurementFastPath) -> None:
+    def exchange(self, other: "MeasurementFastPath") -> None:
         """Have in hand what that of another run has, and that this one's."""
         self._hand, other._hand = other._hand, self._hand
 

@@ -1,7 +1,5 @@
 """Everything of a navigator that changes in order, and the classes that it consists of."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 
@@ -22,7 +20,7 @@ class NavigatorMemory:
     learning: LearningMemory
     alternative: AlternativeMemory | None = None
 
-    def whole(self) -> NavigatorMemory:
+    def whole(self) -> "NavigatorMemory":
         """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
         beginning = self.learning.beginning
         kept = None if beginning is None else beginning.first(*self.learning.kept)

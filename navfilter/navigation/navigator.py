@@ -2,8 +2,6 @@
 sensor.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from os import PathLike
@@ -425,7 +423,7 @@ class Navigator(NavigatorStatus):
         return snapshots.write(snapshots.SnapshotContent(*saved), self.vehicle, self.time_s, path)
 
     @classmethod
-    def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str], *, alternative: bool = True) -> Navigator:
+    def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str], *, alternative: bool = True) -> "Navigator":
         """Go on from a snapshot.
 
         Parameters
@@ -450,7 +448,7 @@ class Navigator(NavigatorStatus):
             raise snapshots.unreadable(error) from error
 
     @classmethod
-    def _resumed(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent, alternative: bool) -> Navigator:
+    def _resumed(cls, vehicle: Vehicle, saved: snapshots.SnapshotContent, alternative: bool) -> "Navigator":
         nav = cls(vehicle, saved.start, history_s=saved.history_s, alternative=alternative)
         check_watches(saved.watches, nav.sensor_monitors)
         nav.sensor_monitors = saved.watches

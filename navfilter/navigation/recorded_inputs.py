@@ -1,7 +1,5 @@
 """What a mission holds for a vehicle: the samples of its drive, and the readings of its sensors in their order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -55,7 +53,7 @@ class MeasurementSequence:
         values, rows = self.values[sensor], self.row[which]
         return values[rows] if isinstance(values, np.ndarray) else [values[row] for row in rows.tolist()]
 
-    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> MeasurementSequence:
+    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> "MeasurementSequence":
         """Some of them by times that are later by so much; of equal times those first that have waited."""
         time_s = (self.time_s + by_s)[which]
         order = np.lexsort((by_s[which] <= 0.0, time_s))

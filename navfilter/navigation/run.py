@@ -1,7 +1,5 @@
 """What the parts of a navigator see of it: the runner, and the early re-run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Protocol
 

@@ -1,7 +1,5 @@
 """Many samples and readings in stretches: one call of a kernel takes them until something is Python's."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

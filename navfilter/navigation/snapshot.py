@@ -7,8 +7,6 @@ of the history and everything that was fed since: feeding it again gives the pre
 readings still find their place.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

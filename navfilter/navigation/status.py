@@ -1,7 +1,5 @@
 """The condition of a run, from what its filter and its watches remember: health, bounds and trust."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The bounds of `navfilter.faults.protection_level` along a track, from its covariance and its measurements.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Sequence

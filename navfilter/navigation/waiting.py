@@ -1,7 +1,5 @@
 """Readings of sensors whose clock is in doubt: they wait until it is known how the vehicle moved at their time."""
 
-from __future__ import annotations
-
 import math
 from bisect import insort
 

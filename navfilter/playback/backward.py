@@ -1,7 +1,5 @@
 """A mission run from its end to its beginning, independently of the run forward."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """Fixes that are kept from the filter, so that its track can be scored against them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

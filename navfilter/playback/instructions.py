@@ -1,7 +1,5 @@
 """Vehicle and mission as instructions for parts of the mission want them: `[[during]]` of a mission.toml."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Replay: a loop over a mission through the vehicle's own `step` and `correct`."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

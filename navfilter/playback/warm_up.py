@@ -1,7 +1,5 @@
 """Kernels compiled ahead, by running tiny missions: what a vehicle needs, on two cores where there are two."""
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess

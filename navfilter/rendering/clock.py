@@ -1,7 +1,5 @@
 """The time axis of a report: mission time in the unit that suits its length, and UTC where the mission knows it."""
 
-from __future__ import annotations
-
 import datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How figures are drawn: one style, long series thinned to their envelopes, SVG that fits into a page."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """One self-contained HTML page, and tables for page and terminal."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

@@ -3,8 +3,6 @@
 The same description becomes the figure for print (`navfilter.rendering.drawing`) and the one that can be zoomed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

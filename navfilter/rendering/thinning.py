@@ -1,7 +1,5 @@
 """Long series thinned so that what is drawn looks the same."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report of a comparison: one HTML page with the runs side by side."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

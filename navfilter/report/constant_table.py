@@ -1,7 +1,5 @@
 """The constants of a run as a table with lights: by colour, by shape and in words, so that it reads in grey, too."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 from navfilter.calibration.lights import LEFT, Agreement, Light

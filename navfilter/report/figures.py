@@ -5,8 +5,6 @@ Bounds, trust and lanes along a run: how far the truth may be, when and why the 
 lane was in force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

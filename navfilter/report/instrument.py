@@ -3,8 +3,6 @@
 The plan view that can be zoomed: the track coloured by time, by its predicted rms, or by run.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -1,7 +1,5 @@
 """Figures of what was learnt: the spectrum beside the one that was believed, and the models over time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

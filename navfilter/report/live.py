@@ -1,7 +1,5 @@
 """Figures that can be zoomed, of the same description as those for print; `instrument.js` shows and links them."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of ``navfilter learn``: the dives, and of each sensor the spectrum as described and as learnt."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

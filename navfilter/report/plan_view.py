@@ -2,8 +2,6 @@
 for print.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os
@@ -101,7 +99,7 @@ class Plan:
     longitude_deg: float
     north_deg: float
     east_deg: float
-    chart: Chart | None = None
+    chart: "Chart | None" = None
 
     @property
     def shape(self) -> str:

@@ -1,7 +1,5 @@
 """The report of a run: one HTML page that needs nothing but itself."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Tables of a run: for the terminal as text, for the report as rows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

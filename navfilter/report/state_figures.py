@@ -2,8 +2,6 @@
 drives, which has no innovations.
 """
 
-from __future__ import annotations
-
 import textwrap
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ what came after the last fsync. A snapshot is written beside the old one, synced
 it refers to.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

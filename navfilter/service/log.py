@@ -4,8 +4,6 @@
 `navfilter.io.json_lines`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import errno

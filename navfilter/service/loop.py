@@ -4,8 +4,6 @@ What is around the navigation never stops it: outputs, log, snapshots and superv
 whatever goes wrong with one of them is told and counted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -30,7 +28,7 @@ ORDERED, UNASKED = 0, 1
 _STDOUT = 1
 
 
-def run(vehicle: Vehicle, options: Options, service: Service) -> int:
+def run(vehicle: Vehicle, options: Options, service: "Service") -> int:
     """Navigate by the lines that arrive until they end or a signal comes.
 
     Parameters
@@ -75,7 +73,7 @@ class _Run:
     SILENT_S = 5.0
 
     def __init__(
-        self, vehicle: Vehicle, options: Options, service: Service, stop: StopSignal, supervision: Supervision
+        self, vehicle: Vehicle, options: Options, service: "Service", stop: StopSignal, supervision: Supervision
     ) -> None:
         self._vehicle, self._options, self._service = vehicle, options, service
         self._stop, self._supervision = stop, supervision

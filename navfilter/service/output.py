@@ -3,8 +3,6 @@
 No reader keeps the navigator waiting, however slow it is, whether its disk is full or it has gone.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import select

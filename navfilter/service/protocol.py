@@ -4,8 +4,6 @@ Numbers are written with the fewest digits that read back as the same float64, s
 bit.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping

@@ -10,8 +10,6 @@ arrives; then the newest attitude holds if it is at most one period of the drive
 What arrives behind a waiting velocity waits with it, so that the order of arrival stays.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import json
@@ -187,7 +185,7 @@ class Options:
         return dict(json_value(dataclasses.asdict(self)))
 
     @classmethod
-    def from_json(cls, saved: dict[str, Any]) -> Options:
+    def from_json(cls, saved: dict[str, Any]) -> "Options":
         """The inverse of `to_json`; raises ValueError where it cannot be."""
         try:
             start = None if saved["start"] is None else start_from(saved["start"])

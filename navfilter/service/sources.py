@@ -1,7 +1,5 @@
 """Where the lines come from: a file, or one client at a time on a TCP socket; and the signals that end a run."""
 
-from __future__ import annotations
-
 import contextlib
 import ipaddress
 import os

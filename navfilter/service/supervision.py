@@ -1,7 +1,5 @@
 """What others see of a run: notifications for systemd, and a state file for everybody else."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

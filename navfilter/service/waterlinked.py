@@ -4,8 +4,6 @@ Instruments on the network that ``navfilter run`` connects to: each is read by a
 again and again, and never keeps the navigation waiting.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import socket
@@ -43,7 +41,7 @@ class Instrument:
     #: How often the thread looks whether it is to end [s].
     LOOK_S = 0.2
 
-    def __init__(self, source: WaterLinked, wake: Callable[[], None]) -> None:
+    def __init__(self, source: "WaterLinked", wake: Callable[[], None]) -> None:
         self.source, self._wake = source, wake
         self._readings: deque[bytes] = deque()
         self._told: deque[str] = deque()

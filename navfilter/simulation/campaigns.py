@@ -5,8 +5,6 @@ and all of them with three losses of the DVL, outliers of compass, DVL and GPS, 
 surfacing at the end.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

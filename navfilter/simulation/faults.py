@@ -5,8 +5,6 @@ and their names. Adding a sensor, or a fault to one sensor, changes nothing in t
 begins with the noise of the shorter one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

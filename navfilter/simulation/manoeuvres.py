@@ -6,8 +6,6 @@ vanish at both ends; so acceleration and angular acceleration are continuous acr
 and ends straight and level: any order of them is a valid motion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

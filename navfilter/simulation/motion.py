@@ -6,8 +6,6 @@ Gauss-Legendre quadrature between knots no further apart than 0.2 s, and read be
 has the analytic first and second derivatives there: it agrees with the velocity to about 1e-9 m.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ Florida Atlantic University, 2003. The table is terse. Where an entry can be rea
 the preset says how it is read here; figures that are not in the table at all are called assumptions.
 """
 
-from __future__ import annotations
-
 import math
 
 from navfilter.foundation.constants import MILLI_G

@@ -1,7 +1,5 @@
 """Missions by name: a vehicle, a motion that fills a given time, and what goes wrong on the way."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 The motion is given and every error is drawn here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import math

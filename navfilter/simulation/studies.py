@@ -7,8 +7,6 @@ a stationary process could be drawn from it. Most of the printed models hold a u
 `_thesis_compass` and the others.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """What kind of noise is this series, and is a residual white: correlation functions, whiteness, Allan deviation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ Choose the order of an ARMA model: one warm-started sweep over (p, q) with every
 Estimates without iteration: Yule-Walker, Burg and Hannan-Rissanen. Useful alone, and as starts for the exact fit.
 """
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -57,8 +55,8 @@ class OrderTable(Value):
     whiteness: Array
     is_white: Mask
     best: tuple[int, int]
-    fit: ArmaFit
-    fits: dict[tuple[int, int], ArmaFit]
+    fit: "ArmaFit"
+    fits: "dict[tuple[int, int], ArmaFit]"
 
     def _shown(self) -> tuple[str, dict[str, object]]:
         most = tuple(size - 1 for size in self.bic.shape)
@@ -130,7 +128,7 @@ def select_order(
     )
 
 
-def _whiteness(fit: ArmaFit) -> Whiteness:
+def _whiteness(fit: "ArmaFit") -> Whiteness:
     return whiteness(fit.residuals, fit.p + fit.q)
 
 
@@ -138,7 +136,7 @@ _COLUMNS = ("loglik", "aic", "aicc", "bic", "hq", "sd")
 
 
 def _fit_cell(
-    problem: Problem, cells: dict[tuple[int, int], tuple[Objective, Point, bool]], p: int, q: int
+    problem: "Problem", cells: dict[tuple[int, int], tuple[Objective, Point, bool]], p: int, q: int
 ) -> tuple[Objective, Point, bool]:
     """Best point at (p, q): from padded neighbours and, where neither gains, from a fresh start."""
     objective = problem.objective(p, q)
@@ -165,7 +163,7 @@ def _fit_cell(
 TABLE_CHOICE = Choice(lead=2.0, level=1e-3, farthest=0.25, nearest=False)
 
 
-def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
+def choose(fits: "dict[tuple[int, int], ArmaFit]", tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
     """The chosen order among fitted ones.
 
     The smallest BIC among orders whose residuals pass the whiteness gate and none of whose pole-zero pairs cancels
@@ -186,7 +184,7 @@ def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Wh
     return min(close, key=lambda k: k[1])
 
 
-def cancels(fit: ArmaFit) -> bool:
+def cancels(fit: "ArmaFit") -> bool:
     """Whether some zero lies within two standard deviations of a pole, so that the pair is noise."""
     return TABLE_CHOICE.cancels(fit.ar, fit.ma, fit.covariance)
 
@@ -372,7 +370,7 @@ def _holds_a_line(e: Array) -> bool:
     return bool(power.max() > 5.0 * power.mean())
 
 
-def _line_start(problem: Problem, p: int, q: int) -> Array:
+def _line_start(problem: "Problem", p: int, q: int) -> Array:
     """The fit two orders lower, with a pole pair and a zero pair at the strongest frequency it leaves over.
 
     A weak line under other noise is a narrow valley of the likelihood that regressions on lags do not lead into.
@@ -386,7 +384,7 @@ def _line_start(problem: Problem, p: int, q: int) -> Array:
     return np.r_[np.convolve(a, [1.0, *pole])[1:], np.convolve(c, [1.0, *zero])[1:]]
 
 
-def fitted(problem: Problem, point: Point, objective: Objective, converged: bool) -> ArmaFit:
+def fitted(problem: "Problem", point: Point, objective: Objective, converged: bool) -> ArmaFit:
     """The fit at the minimum `point`, in the unit of the series."""
     p, q, n = objective.p, objective.q, problem.count
     H, _ = objective.linearise(point) if p + q else (np.zeros((0, 0)), None)

@@ -5,8 +5,6 @@ An order-n process obeys ``(d/dt + beta)^n x = w``. With ``u = 2 beta |t|`` its 
 Gamma(n+k) that Ah-Chong (2003), eq. 2.42, lacks).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

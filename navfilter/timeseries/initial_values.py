@@ -1,7 +1,5 @@
 """Estimates without iteration: Yule-Walker, Burg and Hannan-Rissanen. Useful alone, and as starts for the exact fit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ With ``z+ = M z + g e``, ``y = z[0] + e`` and start ``z0 ~ N(0, sd^2 P0)`` the r
 (G. M. Ljung and G. E. P. Box, Biometrika 66, 1979). Nothing here is truncated and the zeros may lie near the circle.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Protocol

@@ -4,8 +4,6 @@ Sign convention, everywhere in navfilter: ``A(q) y = C(q) e`` with ``A = 1 + a1 
 ``C = 1 + c1 q^-1 + ...``, that is ``y = scipy.signal.lfilter([1, *ma], [1, *ar], e)`` (MATLAB ``armax``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

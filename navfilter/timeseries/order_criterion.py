@@ -2,8 +2,6 @@
 must lead.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -85,6 +83,6 @@ class Challenge:
     order: tuple[int, int] | None = None
     leads: int = 0
 
-    def by(self, order: tuple[int, int]) -> Challenge:
+    def by(self, order: tuple[int, int]) -> "Challenge":
         """The next hop, at which this order leads."""
         return Challenge(order, self.leads + 1 if order == self.order else 1)

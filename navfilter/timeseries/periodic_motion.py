@@ -1,7 +1,5 @@
 """Sensor noise under a periodic motion of the vehicle: waves rocking a moored boat."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exact algebra of ARMA models: decimation, sums, the reading as bias + white + lines, and the bias split off."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Coefficients are given without the leading 1, as everywhere; a root is one of ``z^n + c1 z^(n-1) + ... + cn``.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

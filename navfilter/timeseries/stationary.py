@@ -1,7 +1,5 @@
 """State forms of an ARMA process, and the covariance that a stable one settles at."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 

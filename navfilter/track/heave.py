@@ -1,7 +1,5 @@
 """Heave: what of the height is faster than the tide, the dive and the trim."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 

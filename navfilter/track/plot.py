@@ -1,7 +1,5 @@
 """A track as a figure; matplotlib is imported with this module, which nothing imports before it is asked for."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Along a track: for how long, and why, it is not to be trusted as it should be."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

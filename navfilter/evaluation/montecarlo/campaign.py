@@ -6,8 +6,6 @@ missions. What a job returns depends on nothing but the settings, the seed and t
 matter.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed

@@ -2,8 +2,6 @@
 error.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is kept of one run: a few figures and thinned curves, for the forward track and for the smoothed one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A mission cut into slots that are scored apart: what holds after ten minutes need not hold after one."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -3,8 +3,6 @@
 Intervals over the runs of a campaign. Within a run the errors depend on each other; the runs do not.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

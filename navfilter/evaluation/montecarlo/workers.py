@@ -1,7 +1,5 @@
 """Where the runs of a campaign are done: processes of this machine, or the workers of a cluster."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -8,8 +8,6 @@ Its units are those that the log itself states (UNIT, MULT). Telemetry: a topic 
 since the autopilot started.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """The tables of a mission's logs: each log is gone through once, for all that is wanted of it."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping

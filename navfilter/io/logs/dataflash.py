@@ -5,8 +5,6 @@ A message is two bytes of signature, its type and its body. FMT messages describ
 units; what all of these mean, pymavlink knows.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import struct

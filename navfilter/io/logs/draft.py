@@ -3,8 +3,6 @@
 Which topics of a log become which streams: what drives, what corrects, and what stands in for what is lacking.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import os

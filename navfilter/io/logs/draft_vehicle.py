@@ -1,7 +1,5 @@
 """A vehicle.toml for the streams of a log: which sensors there are, and how such sensors usually err."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ that were there. The one topic is ``boat``, its fields have the names of the fir
 counts days since 1899-12-30.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path

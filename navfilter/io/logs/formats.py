@@ -1,7 +1,5 @@
 """The formats of logs: how each is known, and by which module and package it is read."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

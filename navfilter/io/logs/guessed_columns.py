@@ -4,8 +4,6 @@ A name says what a column may be; its values have to agree, and tell the unit wh
 found is a guess, and marked as one.
 """
 
-from __future__ import annotations
-
 import datetime
 import itertools
 import json

@@ -1,7 +1,5 @@
 """What the topics of known kinds give: which readings, in which fields, units and axes (known_topics.toml)."""
 
-from __future__ import annotations
-
 import functools
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Lines of a text log, plain or compressed, one at a time."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Times that a logger puts before each line, by its own clock."""
 
-from __future__ import annotations
-
 import datetime
 import functools
 import re

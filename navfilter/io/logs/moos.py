@@ -4,8 +4,6 @@ A value of pairs (``X=12.5,Y=3``) becomes one field per pair; any other is the f
 start of the log.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path

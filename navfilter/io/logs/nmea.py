@@ -7,8 +7,6 @@ times between two times they are spread evenly; where the logger put a time befo
 and where no sentence has a time to be believed, it alone.
 """
 
-from __future__ import annotations
-
 import datetime
 import itertools
 import re

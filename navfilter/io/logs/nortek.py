@@ -9,8 +9,6 @@ is NaN. ``sensors``: heading, pitch, roll, pressure (above that of the air), tem
 is the instrument's clock, which need not be UTC.
 """
 
-from __future__ import annotations
-
 import datetime
 import struct
 from collections import Counter

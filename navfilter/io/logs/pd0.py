@@ -14,8 +14,6 @@ and in forward, right, down the ship frame reads ``axes = "-y,-x,z"``; of the ea
 else the instrument's clock, which need not be.
 """
 
-from __future__ import annotations
-
 import datetime
 import math
 import statistics

@@ -1,7 +1,5 @@
 """Records of a log become columns: one flat array of numbers for each topic, so that hours cost megabytes."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping

@@ -5,8 +5,6 @@ from files ``PACKAGE/msg/TYPE.msg`` beside the bag. The time of a record is that
 instruments' own stamps are ``header.stamp``. What a message says is absent (a covariance that begins with -1) is NaN.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import math
@@ -164,7 +162,7 @@ class _Piece:
     def __init__(self, file: Any, path: Path, allowance: Allowance) -> None:
         self._file, self._path, self._allowance, self._size = file, path, allowance, 0
 
-    def __enter__(self) -> _Piece:
+    def __enter__(self) -> "_Piece":
         return self
 
     def __exit__(self, *_: object) -> None:

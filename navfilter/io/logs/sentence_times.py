@@ -1,7 +1,5 @@
 """Times for sentences that have none: carried on from those that have, with the date."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from collections import Counter

@@ -7,8 +7,6 @@ in their own units: those come as degrees and minutes in one number (ddmm.mmmm) 
 another. Each begins with the fix that was known before it: that is left out until there is another.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What a log holds: its topics with their rates, spans, gaps and first values."""
 
-from __future__ import annotations
-
 import itertools
 from array import array
 from collections import Counter

@@ -1,7 +1,5 @@
 """Which topics of a log are wanted: by their full names, their short names, or by a pattern."""
 
-from __future__ import annotations
-
 import fnmatch
 from collections.abc import Callable, Collection
 

@@ -4,8 +4,6 @@ it.
 ``log_time`` is the field ``timestamp``: seconds since the autopilot started.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections import Counter

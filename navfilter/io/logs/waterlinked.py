@@ -5,8 +5,6 @@ which the report was valid [s since 1970, by the instrument's clock]; of old rep
 between them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

@@ -4,8 +4,6 @@ Beside the coordinates of the track, and in the same order, stand ``time_s``, ``
 ``sd_down_m``, and ``coordTimes`` where UTC is known (the name that converters from KML and GPX have made usual).
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator

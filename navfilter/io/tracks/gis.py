@@ -1,7 +1,5 @@
 """track.shp and track.gpkg for GIS and charting software: the line of the track, and its rows as points with sds."""
 
-from __future__ import annotations
-
 import sqlite3
 import struct
 from collections.abc import Iterator

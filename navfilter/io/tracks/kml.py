@@ -5,8 +5,6 @@ Heights are those of the track, above the ellipsoid where fixes gave them; KML m
 track.gpx for chart plotters and GPS tools (GPX 1.1): a track with heights, and with times where UTC is known.
 """
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Iterator

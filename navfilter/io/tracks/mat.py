@@ -6,8 +6,6 @@ velocity and attitude in north, east, down; ``states``, ``states_sd`` (n, k) wit
 ``residuals(i).name``, ``time_s``, ``value``, ``sd``, ``nis``, ``dof``, ``outcome`` (index into ``outcomes``, from 1).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ Every column of track.csv is a variable of the dimension ``obs``; its name has l
 mission clock, and no reader takes it for a date.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables as a user's own software wants them: columns, order, names, numbers and separators from a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

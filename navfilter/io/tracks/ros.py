@@ -13,8 +13,6 @@ topic                          type                              what
 A track has no angular rates: they are zero with a variance of 1e6. Stamps are UTC; where that is unknown, mission time.
 """
 
-from __future__ import annotations
-
 import heapq
 import re
 import tempfile

@@ -8,8 +8,6 @@ down, and the platform heading is the true one. Seconds count on through the end
 A track has no accelerations and rates: they are the mean ones from each row to the next.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """track.csv: `Track.to_frame` as text."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Metres east, north, up in the plane tangent to the ellipsoid at the first positi
 the body (forward, right, down) to that plane. Times are those of the mission clock.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is being compiled, shown while it is: the first use of the kernels takes a while, and something moves."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 import time

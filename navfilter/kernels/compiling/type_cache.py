@@ -6,8 +6,6 @@ are remembered, kernels are compiled in a sixth less time. Errors that are still
 installed numba wraps the terminal anew for each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

@@ -1,7 +1,5 @@
 """Attitude and body velocity as what drives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -136,7 +134,7 @@ class DeadReckoning(Mechanisation):
         """How late the stamps of attitude and velocity are, as described [s]."""
         return (self.compass.time_offset_s if self.compass else 0.0), self.velocity_sensor.time_offset_s
 
-    def at(self, start: Start) -> DeadReckoning:
+    def at(self, start: Start) -> "DeadReckoning":
         """With what the declination of its compass errs by at this place."""
         if self.compass is None or (there := self.compass.at(start)) is self.compass:
             return self

@@ -3,8 +3,6 @@
 An inertial unit as what drives.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -56,7 +54,7 @@ class DriveNoise(NamedTuple):
     start: tuple[float, ...]
 
     @classmethod
-    def of(cls, models: Sequence[ErrorModel], period_s: float) -> DriveNoise:
+    def of(cls, models: Sequence[ErrorModel], period_s: float) -> "DriveNoise":
         """That of these axes."""
         each = [model.integrated(period_s) for model in models]
         return cls(
@@ -197,7 +195,7 @@ class Mechanisation(FrozenDescription):
         """How late the stamps of its two streams are, as described [s]."""
         return 0.0, 0.0
 
-    def at(self, start: Start) -> Mechanisation:
+    def at(self, start: Start) -> "Mechanisation":
         """As it is at this place, see `navfilter.models.sensors.Sensor.at`."""
         return self
 

@@ -1,7 +1,5 @@
 """A DVL beam by beam: bottom and water track of one instrument."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -208,6 +206,6 @@ class DvlBeams(BodyVelocity):
         return (np.hstack(tracks) + truth.error)[:, : len(columns)], columns
 
     @classmethod
-    def examples(cls) -> tuple[DvlBeams, ...]:
+    def examples(cls) -> "tuple[DvlBeams, ...]":
         """With water track."""
         return (cls(current_sd_m_s=0.3),)

@@ -3,8 +3,6 @@
 Attitude by an instrument that computes it itself (AHRS).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -178,7 +176,7 @@ class Heading(Sensor):
         """Of bias and declination together, which no reading tells from each other [rad]."""
         return math.hypot(self.bias_sd_rad, self.declination_sd_rad or 0.0)
 
-    def at(self, start: Start) -> Heading:
+    def at(self, start: Start) -> "Heading":
         """With what its declination errs by at this place."""
         return with_declination_sd(self, self.magnetic or self.magnetometer, start)
 
@@ -380,7 +378,7 @@ class Attitude(Sensor):
         checked_vector("Attitude.mounting_rad", self.mounting_rad)
         check_numbers(self, "misalignment_sd_rad", "declination_sd_rad")
 
-    def at(self, start: Start) -> Attitude:
+    def at(self, start: Start) -> "Attitude":
         """With what its declination errs by at this place."""
         return with_declination_sd(self, self.magnetic, start)
 
@@ -436,6 +434,6 @@ class Attitude(Sensor):
         return angles, ATTITUDE.names
 
     @classmethod
-    def examples(cls) -> tuple[Attitude, ...]:
+    def examples(cls) -> "tuple[Attitude, ...]":
         """One with misalignment."""
         return (cls(misalignment_sd_rad=0.01),)

@@ -1,7 +1,5 @@
 """What of the state a kind of sensor observes: rules ask for this, and not for a class."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 

@@ -3,8 +3,6 @@
 Height above the bottom: of a DVL, or an altimeter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -110,7 +108,7 @@ class Altitude(Sensor):
         return (here.height - lever_down - bottom + truth.error[:, 0])[:, None], ALTITUDE.names
 
     @classmethod
-    def examples(cls) -> tuple[Altitude, ...]:
+    def examples(cls) -> "tuple[Altitude, ...]":
         """Over a bottom that wanders."""
         return (cls(bottom_sd_m=1.0),)
 

@@ -3,8 +3,6 @@
 Ultra-short baseline: where a ship hears the vehicle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -215,7 +213,7 @@ class Range(Sensor):
         return earth_fixed(latitude + north / (meridian + height), longitude + east_rad, height - down)
 
     @classmethod
-    def examples(cls) -> tuple[Range, ...]:
+    def examples(cls) -> "tuple[Range, ...]":
         """Two beacons with everything uncertain."""
         beacons = ((30.001, 0.0, -20.0), (30.0, 0.001, -20.0))
         return (cls(beacons=beacons, beacon_sd_m=(1.0, 1.0, 1.0), scale_sd=0.01, offset_sd_m=0.5),)
@@ -446,7 +444,7 @@ class Usbl(Sensor):
         return value, (*self.stream_columns(), *SHIP_ATTITUDE.names)
 
     @classmethod
-    def examples(cls) -> tuple[Usbl, ...]:
+    def examples(cls) -> "tuple[Usbl, ...]":
         """With everything uncertain."""
         return (cls(misalignment_sd_rad=0.01, scale_sd=0.01, ship_sd_m=(1.0, 1.0, 1.0)),)
 

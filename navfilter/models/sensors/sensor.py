@@ -1,7 +1,5 @@
 """What every kind of sensor says of itself: the rest of the program asks it and keeps no list of kinds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -255,7 +253,7 @@ class Sensor(FrozenDescription):
         """Those of the parameters that are not constant: how they wander, by name (a model of one state)."""
         return {}
 
-    def at(self, start: Start) -> Sensor:
+    def at(self, start: Start) -> "Sensor":
         """As it is at this place: itself, but for what is known less well there."""
         return self
 
@@ -404,7 +402,7 @@ class Sensor(FrozenDescription):
         )
 
     @classmethod
-    def examples(cls) -> tuple[Sensor, ...]:
+    def examples(cls) -> "tuple[Sensor, ...]":
         """Sensors that use all that is compiled or loaded for this kind; none where its defaults do not make one."""
         needed = any(f.init and f.default is MISSING and f.default_factory is MISSING for f in fields(cls))
         try:

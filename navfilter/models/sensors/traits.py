@@ -1,7 +1,5 @@
 """The words in which a kind of sensor or drive states what files, checks and figures need to know of it."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

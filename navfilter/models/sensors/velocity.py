@@ -5,8 +5,6 @@ Wheels: how fast they roll, and that they roll neither sideways nor off the grou
 Velocity over ground by a satellite receiver: speed and course, or north, east, down.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The rate of a vehicle that does not turn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

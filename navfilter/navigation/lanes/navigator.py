@@ -5,8 +5,6 @@ Each lane is a `Navigator` of its own over the samples of one unit and the readi
 from the one that is believed (`navfilter.navigation.lanes.state_transfer`), at a time that is fixed in advance.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator
@@ -398,7 +396,7 @@ class LaneNavigator(NavigatorStatus):
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
-    def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> LaneNavigator:
+    def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> "LaneNavigator":
         """Go on from a snapshot, see `Navigator.restore`."""
         saved = snapshots.read(vehicle, source, (LanesMemory, MonitorMemory))
         try:
@@ -407,7 +405,7 @@ class LaneNavigator(NavigatorStatus):
             raise snapshots.unreadable(error) from error
 
     @classmethod
-    def _resumed(cls, vehicle: Vehicle, saved: Any) -> LaneNavigator:
+    def _resumed(cls, vehicle: Vehicle, saved: Any) -> "LaneNavigator":
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
         memory: LanesMemory = saved.memory
         for name, run in nav.lanes.items():

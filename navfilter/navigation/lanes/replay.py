@@ -3,8 +3,6 @@
 The tracks of a vehicle with lanes: forward that of the lane in force, smoothed along what the last one came from.
 """
 
-from __future__ import annotations
-
 import bisect
 import dataclasses
 import math
@@ -71,7 +69,7 @@ def replayed_lanes(
     )
 
 
-def _forward(run: LaneReplay, mission: Mission, began: float) -> Track:
+def _forward(run: "LaneReplay", mission: Mission, began: float) -> Track:
     """The track as it was given out: of the lane in force."""
     lanes = {lane.name: lane for lane in run.lanes}
     ends = [*(time_s for time_s, _ in run.changes[1:]), math.inf]
@@ -147,7 +145,7 @@ class Piece:
 
     tape: Tape
     begin_s: float
-    before: Piece | None = None
+    before: "Piece | None" = None
     records: int = 0
     rows: int = 0
     times_begun: int = 0
@@ -203,7 +201,7 @@ class LaneReplay:
         return sum(lane.readings for lane in self.lanes)
 
     @property
-    def believed(self) -> _Lane:
+    def believed(self) -> "_Lane":
         """The lane in force."""
         return self.lanes[self.choice.memory.lane]
 
@@ -307,7 +305,7 @@ class _Lane:
         for row in rows[rows[:, 2] > 0.0].tolist():
             yield row[0], (row[4 : 4 + axes], row[4 + axes :], carried[bisect.bisect_right(times, row[0]) - 1])
 
-    def begin_anew(self, source: _Lane, tape: Tape) -> None:
+    def begin_anew(self, source: "_Lane", tape: Tape) -> None:
         """From the state of another lane, on another tape."""
         filter, written = self.nav.filter, source.pieces[-1]
         given = written.tape

@@ -1,7 +1,5 @@
 """The state of one filter as the beginning of another, which has the same sensors and another drive."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A bank of online ARMA estimators of different orders, and the choice of the model that it hands out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

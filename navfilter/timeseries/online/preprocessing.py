@@ -1,7 +1,5 @@
 """What stands between a raw sensor stream and an estimator: repeats, resolution, differencing."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

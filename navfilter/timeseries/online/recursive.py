@@ -3,8 +3,6 @@
 The window behind an online ARMA estimate: its start, its polish at each hop, and the samples it keeps.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
