@@ -16,31 +16,6 @@ if TYPE_CHECKING:
 OK, AS_IT_WAS = 0, 1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the sub-command."""
-    add = parser.add_argument
-    add("mission", nargs="+", metavar="MISSION", help="one or several missions of the same vehicle")
-    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    add("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
-    about = (
-        "constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
-        "deviation, iron, offset, several with commas, or all"
-    )
-    add("--open", metavar="KINDS", help=about)
-    about = (
-        "constants that are others in each mission (kinds or names, with commas), such as clocks that are set by "
-        "hand: estimated in each run, and left as described"
-    )
-    add("--each", metavar="KINDS", default="", help=about)
-    about = "take the mission's truth as fixes with this sd in metres (default: %(const)s)"
-    add("--truth", nargs="?", type=console.positive, const=0.1, metavar="SD_M", help=about)
-    add("--imu", metavar="NAME", help="of several inertial units: the one whose readings carry the state meanwhile")
-    add("--json", metavar="PATH", help="write the table as JSON too")
-    console.add_force_argument(parser)
-    console.add_limit_argument(parser)
-    console.add_reading_arguments(parser)
-
-
 def run(options: argparse.Namespace) -> int:
     """Estimate clocks, lever arms, scales, mountings and compass deviation from missions, into a vehicle.toml.
 

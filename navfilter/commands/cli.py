@@ -11,11 +11,23 @@ import argparse
 import inspect
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from navfilter.commands import calibrate, compare, console, identify, learn, mission, montecarlo, replay, run, vehicle
+from navfilter.commands import (
+    calibrate,
+    compare,
+    console,
+    identify,
+    learn,
+    mission,
+    mission_part,
+    montecarlo,
+    replay,
+    run,
+    vehicle,
+)
 
 OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
@@ -95,20 +107,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    replay.add_demo_arguments(_command(commands, "demo", replay.demo))
-    replay.add_replay_arguments(_command(commands, "replay", replay.replay))
-    _add(commands, run, compare, calibrate, learn, montecarlo, identify)
-    _add_simulate(commands)
-    _add_check(commands)
-    _add(commands, mission, vehicle)
-    _command(commands, "warmup", _warmup)
+    for name, (does, kinds) in _COMMANDS.items():
+        command = _command(commands, name, does, kinds)
+        if name in ("demo", "replay"):
+            replay.add_formats(command)
     return parser
-
-
-def _add(commands: Any, *modules: Any) -> None:
-    """Commands that are a module each."""
-    for module in modules:
-        module.add_arguments(_command(commands, module.__name__.rpartition(".")[2], module.run))
 
 
 class _Version(argparse.Action):
@@ -121,7 +124,9 @@ class _Version(argparse.Action):
         parser.exit(OK)
 
 
-def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+def _command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], kinds: Mapping[str, Callable[[str], Any]]
+) -> argparse.ArgumentParser:
     """A command whose help is the docstring of what runs it: its first line, and what stands below the arguments."""
     about, _, below = (inspect.getdoc(run) or "").partition("\n")
     parser: argparse.ArgumentParser = commands.add_parser(
@@ -133,21 +138,11 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int])
     )
     parser.set_defaults(run=run, compiled=True)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    console.add_arguments(parser, name, kinds)
     return parser
 
 
 # --- simulate -------------------------------------------------------------------------------------------------------
-
-
-def _add_simulate(commands: Any) -> None:
-    parser = _command(commands, "simulate", _simulate)
-    add = parser.add_argument
-    add("scenario", nargs="?", metavar="SCENARIO", help="see --list")
-    add("--list", action="store_true", help="list the scenarios and stop")
-    add("--out", metavar="PATH", help="folder, or file that ends in .npz")
-    console.add_force_argument(parser)
-    add("--seed", type=console.whole, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
-    add("--duration", type=console.positive, metavar="S", help="length in seconds (default: that of the scenario)")
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -186,13 +181,6 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 # --- check ----------------------------------------------------------------------------------------------------------
-
-
-def _add_check(commands: Any) -> None:
-    parser = _command(commands, "check", _check)
-    parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
-    parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    console.add_reading_arguments(parser)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -265,3 +253,21 @@ def _warmup(options: argparse.Namespace) -> int:
     compile_kernels(say)
     console.speaker(options.quiet)(f"ready ({time.perf_counter() - began:.1f} s).")
     return OK
+
+
+#: The commands by name: what runs, and ways of reading arguments that only it knows.
+_COMMANDS: dict[str, tuple[Callable[[argparse.Namespace], int], dict[str, Callable[[str], Any]]]] = {
+    "demo": (replay.demo, {}),
+    "replay": (replay.replay, {"time": mission_part.time_of}),
+    "run": (run.run, {"date": run.date}),
+    "compare": (compare.run, {"names": compare.names}),
+    "calibrate": (calibrate.run, {}),
+    "learn": (learn.run, {"gap": learn.gap}),
+    "montecarlo": (montecarlo.run, {}),
+    "identify": (identify.run, identify.KINDS),
+    "simulate": (_simulate, {}),
+    "check": (_check, {}),
+    "mission": (mission.run, {}),
+    "vehicle": (vehicle.run, {}),
+    "warmup": (_warmup, {}),
+}

@@ -19,31 +19,11 @@ if TYPE_CHECKING:
     from navfilter.models.vehicle import Vehicle
     from navfilter.track.track import Track, Tracks
 
-DEFAULT = "white,gm1,gm1-fitted,arma"
 #: What ratios refer to: the first of these that is among the models, else the first model.
 BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the sub-command."""
-    add = parser.add_argument
-    add("mission", metavar="MISSION")
-    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    add("--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})")
-    about = "sensors whose model is exchanged (default: all with enough readings)"
-    add("--sensors", type=_names, metavar="A,B,..", help=about)
-    add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
-    add("--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'")
-    add("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
-    add("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
-    about = "rows of a track per second (default: %(default)s)"
-    add("--output-rate", type=console.positive, default=5.0, metavar="HZ", help=about)
-    add("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
-    console.add_force_argument(parser)
-    console.add_reading_arguments(parser)
-
-
-def _names(text: str) -> tuple[str, ...]:
+def names(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
     if not names:
         raise argparse.ArgumentTypeError(f"must be names with commas between them, found '{text}'")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import math
+import re
 import select
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +49,72 @@ def count(text: str) -> int:
     return whole(text, 1)
 
 
+#: How an argument is read, by the name that `options.txt` has for it.
+_KINDS: dict[str, Callable[[str], Any]] = {
+    "positive": positive, "row_rate": row_rate, "whole": whole, "count": count, "number": float,
+}  # fmt: skip
+#: What other words there say.
+_WORDS: dict[str, dict[str, Any]] = {
+    "+": {"nargs": "+"}, "?": {"nargs": "?"}, "required": {"required": True},
+    "many": {"action": "append", "default": []}, "one": {}, "either": {},
+}  # fmt: skip
+_OPTION = re.compile(r"(?P<names>\S+(?:, \S+)*)(?: (?P<value>\S+))?(?:  \[(?P<how>[^\]]*)\])?(?:  (?P<help>.+))?")
+
+
+@functools.cache
+def _arguments() -> dict[str, list[str]]:
+    """The lines of `options.txt`, by command."""
+    found = re.split(r"^\[(\w+)\]\n", Path(__file__).with_name("options.txt").read_text("utf-8"), flags=re.MULTILINE)
+    return {name: list(filter(None, text.splitlines())) for name, text in zip(found[1::2], found[2::2], strict=True)}
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str, kinds: Mapping[str, Callable[[str], Any]]) -> None:
+    """Give a command the arguments that `options.txt` has for it; `kinds` are ways of reading that only it knows."""
+    shared = {line.split()[0]: line for line in _arguments()["shared"]}
+    groups: dict[str, Any] = {"": parser}
+    title = ""
+    for line in _arguments()[command]:
+        if line[0] != "-" and line.endswith(":"):
+            title = line[:-1]
+            groups[title] = parser.add_argument_group(title)
+            continue
+        option = _OPTION.fullmatch(shared.get(line, line))
+        assert option is not None  # for the type checker: the file is ours
+        words = (option["how"] or "").split()
+        if {"one", "either"} & {*words} and "one of" not in groups:
+            groups["one of"] = parser.add_mutually_exclusive_group(required="one" in words)
+        names, settings = _settings(option, words, kinds)
+        groups["one of" if {"one", "either"} & {*words} else title].add_argument(*names, **settings)
+
+
+def _settings(
+    option: re.Match[str], words: list[str], kinds: Mapping[str, Callable[[str], Any]]
+) -> tuple[list[str], dict[str, Any]]:
+    """Names of an argument, and what else `argparse` is told of it."""
+    names, value = option["names"].split(", "), option["value"]
+    settings: dict[str, Any] = {"help": option["help"]}
+    if not names[0].startswith("-"):
+        names, settings = [], {**settings, "dest": names[0].lower(), "metavar": names[0]}
+    elif names[0].startswith("--[no-]"):
+        names = [names[0].replace("[no-]", "")]
+        settings |= {"action": argparse.BooleanOptionalAction, "default": True}
+    elif names[0].startswith("--no-"):
+        settings |= {"action": "store_false", "dest": names[0].removeprefix("--no-")}
+    elif value is None:
+        settings["action"] = "store_true"
+    else:
+        settings |= {"choices": value[1:-1].split(",")} if value.startswith("{") else {"metavar": value}
+    for word in words:
+        key, equals, text = word.partition("=")
+        if equals:
+            settings |= {"or": {"nargs": "?", "const": text}, "to": {"dest": text}}.get(key, {"default": text})
+        elif word in _WORDS:
+            settings |= _WORDS[word]
+        else:
+            settings["type"] = {**_KINDS, **kinds}[word]
+    return names, settings
+
+
 def speaker(quiet: bool) -> Callable[[str], None]:
     """`show`, or what says nothing when `quiet`."""
     return (lambda text: None) if quiet else show
@@ -57,33 +125,11 @@ def show(text: str) -> None:
     print(printable(text), flush=True)
 
 
-def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what limits the trust in the files of a mission (see `read`)."""
-    about = "refuse a mission that leads out of its folder: for one of people you do not know"
-    parser.add_argument("--confine", action="store_true", help=about)
-    add_unpacking_argument(parser)
-
-
-def add_limit_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the sds that may be left of constants (see `limits_of`)."""
-    about = (
-        "a constant is told (green) up to this sd, such as dvl.scale=0.1%%, misalignment=0.2deg, or of a kind, "
-        "clock=20ms; may be repeated"
-    )
-    parser.add_argument("--limit", action="append", default=[], metavar="NAME=SD", help=about)
-
-
 def limits_of(options: argparse.Namespace) -> list[tuple[str, float, str]]:
     """The limits that were asked for. Raises ValueError for what is none."""
     from navfilter.calibration.lights import limit_of
 
     return [limit_of(text) for text in options.limit]
-
-
-def add_unpacking_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the limit of what compressed files may unpack to."""
-    about = "what the compressed files of a mission may unpack to, together (default: %(default)g)"
-    parser.add_argument("--max-unpacked", type=positive, default=4.0, metavar="GIB", help=about)
 
 
 def unpacked_bytes(options: argparse.Namespace) -> int:
@@ -104,12 +150,6 @@ LAID_OUT_ANEW = " (laid out anew, in SI units: your file could not be edited)"
 
 #: Stands in every folder that navfilter has made.
 _OURS = ".navfilter"
-
-
-def add_force_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the consent to write where somebody's files are."""
-    about = "write to --out also when navfilter did not make it; files of the same name are replaced"
-    parser.add_argument("--force", action="store_true", help=about)
 
 
 def output_folder(path: str | Path, force: bool, plan: str = _OURS) -> Path:

@@ -24,58 +24,7 @@ LONG = 100_000
 OK, FOUND = 0, 1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the sub-command."""
-    parser.add_argument("file", metavar="FILE")
-    about = "folder to write to; with --imu or --json it may be left out, and nothing is written"
-    parser.add_argument("--out", metavar="DIR", help=about)
-    console.add_force_argument(parser)
-    console.add_unpacking_argument(parser)
-    add_sheet_arguments(parser)
-    data = parser.add_argument_group("the series")
-    about = 'name of the column, or its position from 0; of an array "counts[0]"'
-    data.add_argument("--column", metavar="C", help=about)
-    about = "samples per second; not needed with a time column"
-    data.add_argument("--rate-hz", type=console.positive, metavar="R", help=about)
-    about = "column with seconds: gives the rate, and gaps where samples are missing"
-    data.add_argument("--time-column", metavar="T", help=about)
-    about = "unit of that column (default: %(default)s)"
-    data.add_argument("--time-unit", type=_known_to("navfilter.io.units", "unit"), default="s", metavar="U", help=about)
-    about = "unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI"
-    data.add_argument("--unit", type=_known_to("navfilter.io.units", "unit"), default="", metavar="U", help=about)
-    about = 'array of an .npz or .mat file, with planes: "counts", "data[0]"'
-    data.add_argument("--table", default="", metavar="NAME", help=about)
-    about = "of a log (a ROS bag, NMEA, ...): which of its topics"
-    data.add_argument("--topic", default="", metavar="NAME", help=about)
-    data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")
-    data.add_argument("--skip-lines", type=console.whole, default=0, metavar="N", help="lines before the header")
-    data.add_argument("--skip-rows", type=console.whole, default=0, metavar="N", help="rows of data to skip after it")
-    part = parser.add_argument_group("which samples")
-    part.add_argument("--from-s", type=float, metavar="S", help="first time to use")
-    part.add_argument("--to-s", type=float, metavar="S", help="last time to use")
-    about = "keep every M-th sample, without averaging"
-    part.add_argument("--decimate", type=console.count, default=1, metavar="M", help=about)
-    about = "samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)"
-    part.add_argument("--reject", type=float, default=50.0, metavar="K", help=about)
-    about = "fit the middle N of a longer record (default: 50000)"
-    part.add_argument("--max-samples", type=console.count, metavar="N", help=about)
-    model = parser.add_argument_group("the model")
-    about = "highest autoregressive order (default: %(default)s)"
-    model.add_argument("--max-p", type=console.whole, default=10, metavar="P", help=about)
-    about = "highest moving-average order (default: %(default)s)"
-    model.add_argument("--max-q", type=console.whole, default=10, metavar="Q", help=about)
-    model.add_argument("--order", type=_order, metavar="P,Q", help="fit this order instead of choosing one")
-    model.add_argument("--difference", type=console.whole, default=0, metavar="D", help="times to difference (ARIMA)")
-    about = "model x[t] - x[t-S]: removes what repeats every S samples"
-    model.add_argument("--seasonal-lag", type=console.whole, default=0, metavar="S", help=about)
-    model.add_argument("--detrend", action="store_true", help="estimate a straight line along with the coefficients")
-    model.add_argument("--online", action="store_true", help="coefficients over time from the online estimator instead")
-    about = "its window in samples (default: %(default)s)"
-    model.add_argument("--window", type=console.count, default=4000, metavar="W", help=about)
-    parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
-
-
-def _known_to(module: str, name: str) -> Callable[[str], str]:
+def known_to(module: str, name: str) -> Callable[[str], str]:
     """An argument type: text that a function takes, which is imported when there is one."""
 
     def checked(text: str) -> str:
@@ -88,7 +37,7 @@ def _known_to(module: str, name: str) -> Callable[[str], str]:
     return checked
 
 
-def _order(text: str) -> tuple[int, int]:
+def order(text: str) -> tuple[int, int]:
     parts = [part.strip() for part in text.strip("() ").split(",")]
     if len(parts) != 2:
         raise argparse.ArgumentTypeError(f"must be P,Q such as 2,1, found '{text}'")
@@ -244,24 +193,18 @@ def _busy(quiet: bool) -> Iterator[Any]:
 # --- the noise sheet of an inertial unit ------------------------------------------------------------------------------
 
 
-def add_sheet_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of a noise sheet."""
-    unit = parser.add_argument_group("an inertial unit")
-    unit.add_argument("--imu", action="store_true", help="a noise sheet of all axes, from a record at rest")
-    for name, example in (("gyro", "deg/s"), ("accel", "g")):
-        about = "its columns of a table (default: found by their names)"
-        unit.add_argument(f"--{name}", type=_three, default=(), metavar="X,Y,Z", help=about)
-        about = f'their unit; of raw counts with its factor, "0.05 {example}"'
-        unit.add_argument(
-            f"--{name}-unit", type=_known_to("navfilter.io.inertial", "size_of"), default="", metavar="U", help=about
-        )
-
-
-def _three(text: str) -> tuple[str, ...]:
+def three(text: str) -> tuple[str, ...]:
     parts = tuple(part.strip() for part in text.split(","))
     if len(parts) != 3 or not all(parts):
         raise argparse.ArgumentTypeError(f"must be three columns X,Y,Z, found '{text}'")
     return parts
+
+
+#: Ways of reading its arguments.
+KINDS: dict[str, Callable[[str], Any]] = {
+    "unit": known_to("navfilter.io.units", "unit"), "size": known_to("navfilter.io.inertial", "size_of"),
+    "three": three, "order": order,
+}  # fmt: skip
 
 
 def run_sheet(options: argparse.Namespace, folder: Path | None, say: Callable[[str], Any]) -> int:
@@ -300,7 +243,7 @@ def _record(options: argparse.Namespace) -> ImuRecord:
     from navfilter.io.inertial import ImuColumns, read_imu
 
     units, time = (options.gyro_unit, options.accel_unit), (options.time_column or "", options.time_unit)
-    columns = ImuColumns(options.gyro, options.accel, *units, *time, options.rate_hz)
+    columns = ImuColumns(options.gyro or (), options.accel or (), *units, *time, options.rate_hz)
     return read_imu(options.file, columns, layout(options), console.unpacked_bytes(options)).part(
         options.from_s, options.to_s
     )

@@ -9,26 +9,7 @@ from navfilter.commands import console
 OK, AS_IT_WAS = 0, 1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the sub-command."""
-    parser.add_argument("mission", nargs="+", metavar="DIVE", help="missions of the same vehicle, each once")
-    about = "the vehicle.toml, or one that navfilter learn has written"
-    parser.add_argument("--vehicle", required=True, metavar="TOML", help=about)
-    parser.add_argument("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
-    about = (
-        "a sensor to learn of, may be repeated; attitude, velocity, gyro and accel are those of the drive "
-        "(default: all headings and velocities)"
-    )
-    parser.add_argument("--sensor", action="append", metavar="NAME", help=about)
-    about = "withhold fixes for so long at a time; inf: all but the outer ones"
-    parser.add_argument("--gap", type=_gap, metavar="S", help=about)
-    parser.add_argument("--json", metavar="PATH", help="write what was learnt as JSON too")
-    parser.add_argument("--no-report", action="store_false", dest="report", help="no page with pictures")
-    console.add_force_argument(parser)
-    console.add_reading_arguments(parser)
-
-
-def _gap(text: str) -> float:
+def gap(text: str) -> float:
     return math.inf if text == "inf" else console.positive(text)
 
 

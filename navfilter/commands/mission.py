@@ -3,24 +3,11 @@
 import argparse
 from pathlib import Path
 
-from navfilter.commands.console import add_unpacking_argument, speaker, unpacked_bytes
+from navfilter.commands.console import speaker, unpacked_bytes
 
 OK = 0
 
 #: The kinds of `navfilter.io.logs.draft_vehicle.LIKE`, stated here so that --help answers at once.
-KINDS = ("bluerov2", "survey", "glider", "yacht")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the sub-command."""
-    about = "the log; a pattern in quotes, with *, for several files that follow one another"
-    parser.add_argument("log", metavar="LOG", help=about)
-    parser.add_argument("--init", action="store_true", help="write the two files")
-    about = "whose sensors' errors to begin with (default: what is usual for the format)"
-    parser.add_argument("--vehicle-like", choices=KINDS, default="", help=about)
-    parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
-    parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
-    add_unpacking_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -17,18 +17,6 @@ if TYPE_CHECKING:
 _TIME = r"\+?\d+(?:\.\d*)?(?:e\d+)?"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("--from", dest="begin", type=_time, metavar="S", help="leave out what is earlier")
-    parser.add_argument("--to", dest="end", type=_time, metavar="S", help="leave out what is later")
-    parser.add_argument("--start", metavar="KEY=VALUE,..", help="start the run there, or 'align'; see below")
-    about = "keep these readings from the filter and score it against them; may be repeated; see below"
-    parser.add_argument("--withhold", action="append", default=[], metavar="SENSOR:A-B", help=about)
-
-    about = "leave a sensor out for a time (off), or believe it less (noise=3); may be repeated; see below"
-    parser.add_argument("--during", action="append", default=[], metavar="SENSOR:A-B:WHAT", help=about)
-
-
 def with_instructions(options: argparse.Namespace, mission: Mission) -> Mission:
     """The mission with what ``--during`` says beside its own instructions.
 
@@ -84,7 +72,7 @@ def select(options: argparse.Namespace, mission: Mission, vehicle: Vehicle) -> t
     return mission, tuple(withheld)
 
 
-def _time(text: str) -> str:
+def time_of(text: str) -> str:
     if not re.fullmatch(_TIME, text):
         raise argparse.ArgumentTypeError(
             f"must be a time in seconds, or +seconds from the first reading, found '{text}'"

@@ -10,34 +10,6 @@ from typing import Any
 
 from navfilter.commands import console
 
-_DEFAULT = "white,gm1,gm1-fitted,arma,oracle"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``navfilter montecarlo``."""
-    add = parser.add_argument
-    add("name", nargs="?", metavar="SCENARIO", help="see --list")
-    add("--scenario", metavar="NAME", help="the same")
-    add("--list", action="store_true", help="list the scenarios and stop")
-    about = "missions, with seeds from --seed on (default: %(default)s)"
-    add("--runs", "--seeds", type=console.count, default=20, metavar="N", help=about)
-    about = "seed of the first mission (default: %(default)s)"
-    add("--seed", "--first-seed", type=console.whole, default=1, metavar="S", help=about)
-    add("--models", "--rivals", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)")
-    add("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
-    add("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
-    add("--duration", type=console.positive, metavar="S", help="of a mission, in seconds (default: the scenario's)")
-    add("--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)")
-    about = "of the inertial unit (default: %(default)s)"
-    add("--imu-rate", type=console.positive, default=100.0, metavar="HZ", help=about)
-    add("--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)")
-    add("--figures", action=argparse.BooleanOptionalAction, default=True, help="draw them too (default: yes)")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=console.count, metavar="K", help="processes (default: all cores)")
-    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
-    add("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
-    console.add_force_argument(parser)
-
 
 def run(options: argparse.Namespace) -> int:
     """Repeat a simulated scenario with many seeds and compare error models over all runs.
@@ -68,8 +40,8 @@ def run(options: argparse.Namespace) -> int:
         for name, study in STUDIES.items():
             console.show(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
         return 0
-    scenario = options.name or options.scenario
-    if scenario is None or (options.scenario or scenario) != scenario:
+    scenario = options.scenario or options.named
+    if scenario is None or (options.named or scenario) != scenario:
         raise ValueError("montecarlo needs one scenario (scenarios: navfilter montecarlo --list).")
     from navfilter.evaluation.montecarlo.campaign import Campaign
 

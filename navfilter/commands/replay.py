@@ -29,16 +29,6 @@ NOT_TRUSTED, NOT_JUDGED = 1, 3
 _FILES = "\n".join(f"  {'track' + form.suffix:15} {form.about}" for form in FORMATS if form.always)
 
 
-def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``navfilter demo``."""
-    add = parser.add_argument
-    add("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
-    add("--seed", type=console.whole, default=4, metavar="N", help="seed of everything random (default: %(default)s)")
-    add("--duration", type=console.positive, metavar="S", help="length of the mission in seconds (default: one hour)")
-    console.add_force_argument(parser)
-    _add_formats(parser)
-
-
 #: What the demonstration compares; the third is the result.
 _COMPARED = ("white", "gm1-fitted", "arma", "oracle")
 
@@ -95,50 +85,6 @@ def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path,
     write_vehicle(vehicle, vehicle_path)
     if truth is not None:
         write_vehicle(truth, vehicle_path.with_name(f"{vehicle_path.stem}_true.toml"))
-
-
-def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``navfilter replay``."""
-    add = parser.add_argument
-    add("mission", metavar="MISSION", nargs="+")
-    add("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    add("--out", required=True, metavar="DIR", help="folder to write to")
-    console.add_force_argument(parser)
-    console.add_reading_arguments(parser)
-    about = "smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
-    add("--smooth", action="store_true", help=about)
-    about = (
-        "smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
-        "hardly known at the start"
-    )
-    add("--passes", type=console.whole, default=1, metavar="N", help=about)
-    about = (
-        "identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
-        "times (5 is plenty)"
-    )
-    add("--iterate", type=console.whole, default=0, metavar="N", help=about)
-    add("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
-    console.add_limit_argument(parser)
-    about = (
-        "compare the track with surveyed places, which the filter does not get: a table with the columns name, "
-        "latitude_deg, longitude_deg, and perhaps height_m and time_s (else the nearest approach counts)"
-    )
-    add("--control", metavar="FILE", help=about)
-    about = "show the track of another run in the report, too: the folder of its track.csv; may be repeated"
-    add("--beside", action="append", default=[], metavar="DIR", help=about)
-    about = "a chart under the track in the report: an .mbtiles file, or a folder with zoom/x/y.png (Web Mercator)"
-    add("--tiles", metavar="PATH", help=about)
-    about = "run the mission from its end to its beginning too, independently, and hold both runs against each other"
-    add("--backward", action="store_true", help=about)
-    mission_part.add_arguments(parser)
-    parser.epilog = (parser.epilog or "").replace("<files>", _FILES)
-    about = "rows of the track per second; all: one at every sample of the drive (default: %(default)s)"
-    add("--output-rate", type=console.row_rate, default=5.0, metavar="HZ", help=about)
-    about = "processes for several MISSIONs (default: as many as there are processors)"
-    add("--workers", type=console.whole, metavar="N", help=about)
-    about = "no report.html: drawing its figures takes longer than the filter and smoother do"
-    add("--no-report", action="store_false", dest="report", help=about)
-    _add_formats(parser)
 
 
 def replay(options: argparse.Namespace) -> int:
@@ -341,8 +287,9 @@ def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assess
 # --- further files of the track -------------------------------------------------------------------------------------
 
 
-def _add_formats(parser: argparse.ArgumentParser) -> None:
-    """Add an option for each further format of the track, from their one table."""
+def add_formats(parser: argparse.ArgumentParser) -> None:
+    """Add an option for each further format of the track, from their one table; list those that are always there."""
+    parser.epilog = (parser.epilog or "").replace("<files>", _FILES)
     group = parser.add_argument_group(
         "further files of the track, for other programs (in Python: nf.write_track(track, 'dive.kml'))"
     )

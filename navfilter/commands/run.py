@@ -7,42 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from navfilter.commands.console import announce_compilation, positive
+from navfilter.commands.console import announce_compilation
 from navfilter.foundation.quoting import printable
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``navfilter run``."""
-    add = parser.add_argument
-    add("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    source = parser.add_mutually_exclusive_group()
-    about = "file or pipe to read; - is standard input (default without --source)"
-    source.add_argument("--input", metavar="FILE", help=about)
-    about = "wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it"
-    source.add_argument("--listen", metavar="URL", help=about)
-    source.add_argument("--replay-log", metavar="DIR", help="feed the log of an earlier run again")
-    about = "connect to an instrument, beside the input; may be repeated; see below"
-    add("--source", action="append", default=[], metavar="URL", help=about)
-    about = "let --listen be reached from other computers (there is no password)"
-    add("--allow-remote", action="store_true", help=about)
-    add("--start", metavar="FILE", help=".toml or .json with the fields of Start; without time_s: the first reading")
-    about = "without a start: align on so many seconds (default: 5)"
-    add("--align", type=positive, default=5.0, metavar="S", help=about)
-    add("--date", type=_date, metavar="YYYY-MM-DD", help="for the magnetic declination (default: today)")
-    add("--rate-hz", type=positive, metavar="HZ", help="states per second (default: 1)")
-    add("--log", metavar="DIR", help="write the readings to this mission folder")
-    about = "a power cut costs at most so many seconds of the log (default: 1)"
-    add("--fsync", type=positive, default=1.0, metavar="S", help=about)
-    add("--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)")
-    add("--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)")
-    about = "go on from snapshot and log, if there are any; what does not fit is left out (best) or refused (strict)"
-    add("--resume", nargs="?", const="best", choices=("best", "strict"), help=about)
-    about = "with --listen: a client without a reading for so long loses its place to one that comes (default: 10)"
-    add("--client-timeout", type=positive, default=10.0, metavar="S", help=about)
-    add("--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor")
-
-
-def _date(text: str) -> datetime.date:
+def date(text: str) -> datetime.date:
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:

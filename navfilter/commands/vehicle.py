@@ -8,18 +8,6 @@ from navfilter.commands.console import speaker
 OK, FOUND = 0, 1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the sub-command."""
-    what = parser.add_mutually_exclusive_group(required=True)
-    about = "file to write, or the folder to write vehicle.toml into (default: here)"
-    what.add_argument("--init", nargs="?", const="vehicle.toml", metavar="PATH", help=about)
-    about = "the vehicle.toml to describe and to check, or the folder that holds it"
-    what.add_argument("--check", metavar="TOML", help=about)
-    about = "with --init: what carries the state (default: %(default)s)"
-    parser.add_argument("--drive", choices=("imu", "imus", "dead-reckoning"), default="imu", help=about)
-    parser.add_argument("--force", action="store_true", help="with --init: replace a file that is there")
-
-
 def run(options: argparse.Namespace) -> int:
     """Write a commented vehicle.toml to start from, or say what one describes and whether it is plausible.
 
