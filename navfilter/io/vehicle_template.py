@@ -10,6 +10,7 @@ import math
 import re
 import textwrap
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from navfilter.io.units import SUFFIXES
@@ -21,60 +22,11 @@ from navfilter.models.sensors.velocity import DVL_ERROR
 
 DRIVES = ("imu", "imus", "dead-reckoning")
 _WIDTH = 130
-
-_HEAD = """\
-# What is on board, and how it errs. 'navfilter vehicle --check vehicle.toml' says in words what this file describes.
-#
-# Lines that begin with "#key" state a default: take the # away and change the value. Lines that begin with "# " are words.
-#
-# Numbers are SI and radians, unless the key ends in another unit: sd_deg, mounting_deg, density_deg_per_sqrt_h. Endings:
-{suffixes}
-#
-# Frames: b is the body, forward, right, down. Lever arms lead from the reference point (the inertial unit) to the sensor.
-#
-# An error is one model, a list of models (their sum), or one per axis, {{x = .., y = .., z = ..}} (for fixes north, east, down;
-# for attitudes roll, pitch, yaw). The models, numbers in the unit of the sensor:
-#   {{model = "white", sd = 0.1}}
-#       independent from reading to reading; or as root PSD, density = 0.01 [unit/sqrt(Hz)], sd = density * sqrt(rate)
-#   {{model = "random-walk", density = 1e-6, start_sd = 1e-5}}
-#       a bias that wanders by 60 * density in an hour [density: unit/s/sqrt(Hz)]; start_sd: how large it is at the start, default
-#       60 * density; density = 0: a constant
-#   {{model = "gauss-markov", sd = 0.1, tau_s = 30, order = 1}}
-#       correlated: the autocorrelation falls to 1/e in tau_s seconds; order 1 (default) to 4
-#   {{model = "cycle", sd = 0.15, period_s = 44714, tau_s = 432000}}
-#       a swing of known period (a tide, waves) whose amplitude and phase become others in tau_s; a steady one of amplitude a has
-#       sd = a / sqrt(2)
-#   {{model = "arma", ar = [-0.9], ma = [], sd = 0.1}}
-#       ARMA(p, q), one step per reading, signs as scipy.signal.lfilter([1, *ma], [1, *ar], e) with e of this sd (default 1); ma may be
-#       left out; 'navfilter identify' finds all three from a recording at rest
-#   {{model = "learned-arma", orders = [[1, 0], [1, 1], [2, 1]], window = 4000, hop = 1000, prior = {{model = "white", sd = 0.1}}}}
-#       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 103, default 4000),
-#       readings between two adoptions (default: half the window) or more, what is in force before the first and believed of slow
-#       errors after it (default: what is usual for the sensor; white noise alone excludes slow errors while the readings are
-#       white), within what factors of sd and time where that is known better than of a data sheet (prior_within = [2, 3]). What
-#       has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov",
-#       ..}}; with frozen = true beside it that model stays in force and nothing is learnt
-"""
-_BESIDE = """\
-# Beside the inertial unit, dead_reckoning_lane = true runs a second filter that goes by heading and velocity alone and takes over
-# where the unit fails, at the cost of another vehicle. Several units: navfilter vehicle --init vehicle.toml --drive imus
-"""
-_UNITS = """\
-# Several inertial units carry the state side by side, each in a filter (lane) of its own; the one that foretells the readings best
-# is in force. One more lane goes by heading and velocity alone, and takes over where all units fail.
-#dead_reckoning_lane = true
-"""
-_SENSORS = "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
-_GYRO = """\
-gyro = [
-  {model = "white", density_deg_per_sqrt_h = 0.3},
-  {model = "random-walk", density_deg_per_h_per_sqrt_h = 1.0, start_sd_deg_per_h = 5.0},
-]"""
-_ACCEL = """\
-accel = [
-  {model = "white", density_mg_per_sqrt_hz = 0.1},
-  {model = "random-walk", density = 8e-6, start_sd_mg = 1.0},
-]"""
+_TEXTS = re.split(r"^==== (\w+)\n", Path(__file__).with_suffix(".txt").read_text("utf-8"), flags=re.MULTILINE)
+#: What the classes do not say, by name.
+_SAID = dict(zip(_TEXTS[1::2], _TEXTS[2::2], strict=True))
+#: The errors of an inertial unit.
+_GYRO_ACCEL = _SAID["gyro"].rstrip("\n"), _SAID["accel"].rstrip("\n")
 
 
 def vehicle_template(drive: str = "imu") -> str:
@@ -104,7 +56,7 @@ def vehicle_template(drive: str = "imu") -> str:
         raise ValueError(f'there is no drive "{drive}" (known: {", ".join(DRIVES)}).')
     suffixes = "\n".join(textwrap.wrap(", ".join(SUFFIXES), _WIDTH, initial_indent="#   ", subsequent_indent="#   "))
     parts = [
-        _HEAD.format(suffixes=suffixes),
+        _SAID["head"].replace("<endings>", suffixes),
         'name = "example AUV"\n',
         *{"imu": _inertial, "imus": _units, "dead-reckoning": _reckoning}[drive](),
     ]
@@ -129,19 +81,19 @@ def _correcting(kind: Any) -> str:
 
 def _inertial() -> Iterator[str]:
     words = 'What carries the state between corrections: an inertial unit (stream "imu"), strapdown on WGS-84.'
-    yield _BESIDE
-    yield _section("drive", Imu, words, 100, _GYRO, _ACCEL)
-    yield _SENSORS
+    yield _SAID["beside"]
+    yield _section("drive", Imu, words, 100, *_GYRO_ACCEL)
+    yield _SAID["sensors"]
 
 
 def _units() -> Iterator[str]:
-    yield _UNITS
+    yield _SAID["units"]
     words = 'The first unit: "a" is the name of its stream. Strapdown on WGS-84.'
-    yield _section("imus.a", Imu, words, 100, _GYRO, _ACCEL)
+    yield _section("imus.a", Imu, words, 100, *_GYRO_ACCEL)
     yield "\n".join(
-        ["# The second unit, with the same keys.", "[imus.b]", 'type = "imu"', "rate_hz = 100", _GYRO, _ACCEL, ""]
+        ["# The second unit, with the same keys.", "[imus.b]", 'type = "imu"', "rate_hz = 100", *_GYRO_ACCEL, ""]
     )
-    yield _SENSORS
+    yield _SAID["sensors"]
 
 
 def _unused(section: str) -> str:
@@ -177,7 +129,7 @@ def _reckoning() -> Iterator[str]:
         lever=(0.5, 0.0, 0.1),
         without=unused,
     )
-    yield _SENSORS
+    yield _SAID["sensors"]
 
 
 def _section(

@@ -9,6 +9,7 @@ import itertools
 import json
 import math
 import re
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,40 +35,11 @@ from navfilter.models.magnetic import believable, declination
 from navfilter.models.mission import MissionError
 
 TABLE = Format("a table", "guessed_columns", (".csv", ".txt", ".dat", ".tsv", ".log", ".asc"))
+_TOLD = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: Quantity -> what its column may be called, in lower case and without its unit.
-_NAMES = {
-    "date": r"date|datum|utc_?date|dat",
-    "time": r"t|(?:utc_?|gps_?|date_?|unix_?|log_?)?time|time_?stamp|zeit|utc|unix|epoch|seconds?|secs?|t_?utc|elapsed",
-    "latitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:lat(?:itud\w*|itudine)?|(?:geo\w*_)?breite(?:ngrad)?)",
-    "longitude": r"(?:gps|gnss|nav|m)?[_ ]?(?:(?:lon|lng|long)(?:gitud\w*|gitudine)?"
-    r"|(?:geo\w*_)?l(?:ä|ae)nge(?:ngrad)?)",
-    "height": r"(?:gps|gnss)?[_ ]?(?:height|alt(?:itude)?|elevation|ele|h|hae|hell)",
-    "roll": r"(?:m_)?(?:roll|heel|phi)(?:_?angle)?",
-    "pitch": r"(?:m_)?(?:pitch|trim|theta)(?:_?angle)?",
-    "heading": r"(?:m_|true_?|mag(?:netic)?_?|compass_|gyro_|ahrs_|ins_)?(?:heading|hdg|hdt|hdm|yaw|compass|psi|kurs)"
-    r"(?:_?(?:true|mag|angle))?",
-    "depth": r"(?:m_)?(?:depth|tiefe|depth_?m)",
-    "pressure": r"(?:abs(?:olute)?_?|water_?)?press(?:ure)?(?:_?abs)?",
-    "ground_speed": r"(?:gps|gnss|nav)?_?(?:sog|(?:speed|spd)(?:_?over_?(?:the_?)?(?:ground|grnd))?"
-    r"|(?:ground|gnd|g)_?(?:speed|spd|velocity)|(?:speed|spd)_?(?:ground|sog)|velocity)",
-    "course": r"(?:gps|gnss|nav)?_?(?:cog|course(?:_?over_?(?:the_?)?(?:ground|grnd))?|ground_?course|cmg|tmg"
-    r"|track_?(?:angle|made_?good|over_?ground|true)?)(?:_?(?:true|t|angle|deg))?",
-    "water_speed": r"bsp|boat_?speed|stw|water_?speed|speed_?(?:through_?)?water|log_?speed",
-}
-_VELOCITIES = (
-    ("u", "v", "w"),
-    ("vx", "vy", "vz"),
-    ("v_x", "v_y", "v_z"),
-    ("vel_x", "vel_y", "vel_z"),
-    ("velocity_x", "velocity_y", "velocity_z"),
-    ("dvl_x", "dvl_y", "dvl_z"),
-    ("dvl_vx", "dvl_vy", "dvl_vz"),
-    ("v_forward", "v_right", "v_down"),
-)
-#: Units that mean nothing else behind a name: "time_ms", "depth_mm".
-_ENDINGS = (
-    "ms", "us", "ns", "s", "sec", "m", "mm", "cm", "ft", "deg", "rad", "kn", "hpa", "kpa", "mbar", "dbar", "bar",
-)  # fmt: skip
+_NAMES: dict[str, str] = _TOLD["names"]
+#: Names of three columns of a velocity; units that mean nothing else behind a name: "time_ms", "depth_mm".
+_VELOCITIES, _ENDINGS = _TOLD["velocities"], _TOLD["endings"]
 #: Units by their names in lower case.
 _UNITS = {name.lower(): known for name, known in [*ALIASES.items(), *zip(UNITS, UNITS, strict=True)]}
 _UNIT_CELLS = {*_UNITS, "", "-", "utc", "gmt"}

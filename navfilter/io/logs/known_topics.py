@@ -1,6 +1,5 @@
 """What the topics of known kinds give: which readings, in which fields, units and axes (known_topics.toml)."""
 
-import functools
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -16,28 +15,9 @@ from navfilter.io.table import Table, Where
 
 #: Senders share a topic where they speak at once in no more than this share of cases [1].
 AT_ONCE = 0.1
+_TOLD: dict[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: What a topic may read -> how that is said.
-READINGS = {
-    "imu": "turn rates and specific forces",
-    "attitude": "roll, pitch and heading",
-    "magnetic-attitude": "roll, pitch and heading from magnetic north",
-    "velocity": "velocity over ground in the body's axes",
-    "beams": "velocity over ground along the beams",
-    "odometry": "velocity by wheels, camera or another filter",
-    "water": "velocity through the water in the body's axes",
-    "speed": "speed over ground, from fixes",
-    "heading": "heading",
-    "magnetic": "heading from magnetic north",
-    "heading-of-log": "heading, as the log of the speed through the water has it",
-    "magnetic-of-log": "heading from magnetic north, as the log of the speed through the water has it",
-    "course": "course over ground, from fixes",
-    "ground-velocity": "speed and course over ground, from fixes",
-    "field": "the magnetic field",
-    "depth": "depth",
-    "pressure": "pressure of the water",
-    "gauge-pressure": "pressure of the water, above that of the air",
-    "position": "fixes",
-}
+READINGS: dict[str, str] = _TOLD["readings"]
 
 
 @dataclass(frozen=True)
@@ -86,17 +66,14 @@ class Use:
         return bool(rows.any()) and all(_some(topic.columns[field][rows]) for field in self.fields)
 
 
-@functools.cache
-def _known() -> tuple[Use, ...]:
-    rows: list[dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["use"]
-    return tuple(Use(**{**row, "lines": tuple(row["lines"]), "fields": tuple(row["fields"])}) for row in rows)
+_KNOWN = [Use(**{**row, "lines": tuple(row["lines"]), "fields": tuple(row["fields"])}) for row in _TOLD["use"]]
 
 
 def uses_of(found: Survey) -> list[tuple[Topic, Use]]:
     """The topics of a log that are of a known kind, each with all that it can give; the preferred first."""
     if found.uses:
         return list(found.uses)
-    rows = [use for use in _known() if use.format == found.format.module]
+    rows = [use for use in _KNOWN if use.format == found.format.module]
     topics = sorted([*found.topics, *_together(found)], key=lambda topic: -topic.count)
     return [(topic, use) for use in rows for topic in topics if use.fits(topic)]
 
