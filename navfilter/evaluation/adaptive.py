@@ -11,14 +11,13 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.faults.innovation_gate import whole_residual
 from navfilter.faults.monitor import FaultMonitor
 from navfilter.filter.actions import Action, Readmit
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.models.error_models import ErrorModel, RandomWalk, Sum, White
 from navfilter.models.vehicle import Vehicle
 

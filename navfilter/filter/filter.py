@@ -9,7 +9,6 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.filter import actions
 from navfilter.filter.actions import Action
@@ -29,7 +28,7 @@ from navfilter.filter.monitor import Actions, Monitor
 from navfilter.filter.records import OUTCOMES, Tape
 from navfilter.filter.sensor_channel import Channel, usable
 from navfilter.filter.state_layout import Layout
-from navfilter.foundation.arrays import Array, Ints
+from navfilter.foundation.arrays import Array, ArrayLike, Ints
 from navfilter.kernels import batch, consistency, fault_bank, kalman, measurement, strapdown
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.addresses import address

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array, Mask
+from navfilter.foundation.arrays import Array, ArrayLike, Mask
 from navfilter.kernels import strapdown
 from navfilter.models.mechanisation import Mechanisation
 

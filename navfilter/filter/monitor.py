@@ -7,15 +7,13 @@ its own memory, and changes the filter by actions only (`navfilter.filter.action
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any, Protocol
 
-from numpy.typing import ArrayLike
-
 from navfilter.filter.actions import Action
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Adoption
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
-from navfilter.foundation.arrays import Array, Ints
+from navfilter.foundation.arrays import Array, ArrayLike, Ints
 from navfilter.models.error_models import Errors
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.start import Start

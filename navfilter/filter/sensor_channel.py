@@ -7,11 +7,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.filter.channel_model import ChannelModel, changes, delayed_facts
 from navfilter.filter.state_layout import Group, Layout
-from navfilter.foundation.arrays import Array, Ints
+from navfilter.foundation.arrays import Array, ArrayLike, Ints
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch, consistency, kalman
 from navfilter.models.fault_bias import has_description

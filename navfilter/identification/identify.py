@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.display import Value
 from navfilter.identification.conditioning import Conditioned, bridged, condition, gap_free
 from navfilter.io import units

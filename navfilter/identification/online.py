@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from navfilter.foundation import utc
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import AnyArray, Array, Ints, Mask
 from navfilter.identification.conditioning import Conditioned, condition
 from navfilter.identification.report import write_page
 from navfilter.io.series import Series
@@ -70,9 +69,9 @@ class Tracks:
     sd: Array
     pole: Array
     zero: Array
-    order: NDArray[np.int64]
+    order: Ints
     walk_sd: Array
-    is_white: NDArray[np.bool_]
+    is_white: Mask
     model: ArmaModel
 
 
@@ -222,7 +221,7 @@ def _last_reading(tracks: Tracks) -> str:
 
 def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
     """Write identify.json, tracks.csv, tracks.svg and identify.html."""
-    columns: dict[str, NDArray[Any]] = {"time_s": tracks.time_s, "p": tracks.order[:, 0], "q": tracks.order[:, 1]}
+    columns: dict[str, AnyArray] = {"time_s": tracks.time_s, "p": tracks.order[:, 0], "q": tracks.order[:, 1]}
     for name, value in (("ar", tracks.ar), ("ar_sd", tracks.ar_sd), ("ma", tracks.ma), ("ma_sd", tracks.ma_sd)):
         columns |= {f"{name}_{i + 1}": value[:, i] for i in range(value.shape[1])}
     columns |= {"sd": tracks.sd, "pole_radius": tracks.pole, "zero_radius": tracks.zero, "walk_sd": tracks.walk_sd}

@@ -14,11 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 from scipy.signal import welch
 
 from navfilter.foundation import utc
-from navfilter.foundation.arrays import Array, Complex
+from navfilter.foundation.arrays import Array, ArrayLike, Complex
 from navfilter.foundation.quoting import json_value
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification

@@ -3,11 +3,10 @@
 import contextlib
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from navfilter.foundation.arrays import AnyArray
 from navfilter.foundation.mapped_arrays import mapped
 from navfilter.io.trust import Allowance, Place
 from navfilter.models.mission import MissionError
@@ -18,7 +17,7 @@ _LARGE = 64 << 20
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-def read_arrays(file: Path | Place) -> dict[str, npt.NDArray[Any]]:
+def read_arrays(file: Path | Place) -> dict[str, AnyArray]:
     """Read every array of a container.
 
     Parameters
@@ -60,7 +59,7 @@ def read_arrays(file: Path | Place) -> dict[str, npt.NDArray[Any]]:
     return arrays
 
 
-def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, npt.NDArray[Any]]:
+def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, AnyArray]:
     """Read every array of a .npz file, each held against its checksum.
 
     Parameters
@@ -97,15 +96,15 @@ def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, npt.ND
     return arrays
 
 
-def _member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
+def _member(archive: zipfile.ZipFile, entry: str) -> AnyArray:
     with archive.open(entry) as member:
-        array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
+        array: AnyArray = np.lib.format.read_array(member, allow_pickle=False)
         if member.read(1):  # to the end, where the checksum is compared
             raise ValueError(f"{entry} is longer than it says")
     return array
 
 
-def _large_member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
+def _large_member(archive: zipfile.ZipFile, entry: str) -> AnyArray:
     """In a file and not in memory, where it is of float64, row by row, and the disk has room for it."""
     with contextlib.suppress(OSError), archive.open(entry) as member:
         version = np.lib.format.read_magic(member)
@@ -116,7 +115,7 @@ def _large_member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
     return _member(archive, entry)
 
 
-def _read_npy(path: Path) -> npt.NDArray[Any]:
+def _read_npy(path: Path) -> AnyArray:
     found = np.load(path, allow_pickle=False)
     if not isinstance(found, np.ndarray):
         found.close()
@@ -131,10 +130,10 @@ def _is_hdf5(path: Path) -> bool:
     return head[:8] == _HDF5_SIGNATURE or head[512:520] == _HDF5_SIGNATURE
 
 
-def _read_hdf5(path: Path, allowance: Allowance) -> dict[str, npt.NDArray[Any]]:
+def _read_hdf5(path: Path, allowance: Allowance) -> dict[str, AnyArray]:
     import h5py
 
-    arrays: dict[str, npt.NDArray[Any]] = {}
+    arrays: dict[str, AnyArray] = {}
 
     def visit(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset) and not name.startswith("#") and item.dtype.kind in "fiub":
@@ -148,13 +147,13 @@ def _read_hdf5(path: Path, allowance: Allowance) -> dict[str, npt.NDArray[Any]]:
     return arrays
 
 
-def _read_mat5(path: Path, allowance: Allowance) -> dict[str, npt.NDArray[Any]]:
+def _read_mat5(path: Path, allowance: Allowance) -> dict[str, AnyArray]:
     from scipy.io import loadmat
 
     from navfilter.io.mat5 import check_mat5
 
     check_mat5(path, allowance)
-    arrays: dict[str, npt.NDArray[Any]] = {}
+    arrays: dict[str, AnyArray] = {}
 
     def visit(name: str, item: object) -> None:
         if isinstance(item, dict):

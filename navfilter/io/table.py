@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, field_validator, model_validator
 
-from navfilter.foundation.arrays import Array, Mask
+from navfilter.foundation.arrays import AnyArray, Array, Mask
 from navfilter.io.validation import Strict
 from navfilter.models.mission import MissionError
 
@@ -38,13 +37,13 @@ class Table:
     """
 
     path: str
-    columns: Mapping[str, npt.NDArray[Any]]
+    columns: Mapping[str, AnyArray]
     notes: tuple[str, ...] = field(default=())
     units: Mapping[str, str] = field(default_factory=dict)
     quoted: bool = True
     clock: str = ""
 
-    def raw(self, reference: str | int) -> npt.NDArray[Any]:
+    def raw(self, reference: str | int) -> AnyArray:
         """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
         names = list(self.columns)
         if isinstance(reference, int):
@@ -67,7 +66,7 @@ class Table:
         self.raw(reference)
         return reference
 
-    def joined(self, reference: str | int | tuple[str | int, ...]) -> npt.NDArray[Any]:
+    def joined(self, reference: str | int | tuple[str | int, ...]) -> AnyArray:
         """A column, or the texts of several with a blank between, row by row: a date and its time, a number and its
         letter.
         """

@@ -6,11 +6,10 @@ whatever was skipped on the way is counted in `Table.notes`.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from navfilter.foundation.arrays import AnyArray
 from navfilter.foundation.display import counted
 from navfilter.io.logs import Shelf
 from navfilter.io.table import Table, TableOptions, Where, listing
@@ -141,7 +140,7 @@ def _unpack(place: Place) -> bytes:
 # --- arrays ---------------------------------------------------------------------------------------------------------
 
 
-def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: TableOptions) -> Table:
+def _columns_of(place: Place, arrays: dict[str, AnyArray], options: TableOptions) -> Table:
     if options.table or len(arrays) == 1:
         # The only array of a file needs no name.
         matrix = _pick(place, arrays, options.table or next(iter(arrays)))
@@ -173,7 +172,7 @@ def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: Tabl
     return Table(place.shown, columns, quoted=place.quoted)
 
 
-def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
+def _pick(place: Place, arrays: dict[str, AnyArray], reference: str) -> AnyArray:
     name, *planes = reference.replace("]", "").split("[")
     if name not in arrays:
         names = listing("tables", list(arrays), place.quoted)

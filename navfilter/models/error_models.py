@@ -15,9 +15,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.constants import ROOT_HOUR
 from navfilter.foundation.display import Value
 from navfilter.foundation.frozen import FrozenDescription

@@ -4,10 +4,10 @@ import datetime
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import numbers
+from navfilter.foundation.arrays import ArrayLike
 
 MODEL_YEARS = (2010, 2015, 2020, 2025)
 #: What the declination of a model errs by is the root of the sum of the squares of an angle [deg] and of another one

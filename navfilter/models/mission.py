@@ -10,19 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from navfilter.foundation import arguments as given
 from navfilter.foundation import utc
 from navfilter.foundation.arguments import needs, numbers, rows_of, short
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.foundation.display import Value, often, span
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.foundation.quoting import one_line
 from navfilter.models.during import During
 
-ArrayLike = npt.ArrayLike
+ArrayLike = ArrayLike
 
 TRUTH_COLUMNS = (
     "latitude_rad", "longitude_rad", "height_m",

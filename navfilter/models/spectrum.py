@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 
 #: A logarithm that is known no better than this is not known: at a notch first order says anything.
 LARGEST_SPREAD = 10.0

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.display import Value, few
 from navfilter.kernels import strapdown
 from navfilter.models.health import Bounds, Health, Trust

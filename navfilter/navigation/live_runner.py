@@ -2,16 +2,14 @@
 
 import ctypes
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.input_buffer import PIECE, InputBuffer
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import AnyArray, Array, ArrayLike
 from navfilter.kernels import batch, open_loop_residual, strapdown
 from navfilter.learning.schedule import UNHEARD
 from navfilter.navigation.run import Run
@@ -38,9 +36,9 @@ class PointerTable:
     def __init__(self, count: int) -> None:
         self.table = np.empty((count, 3), np.int64)
         self._rows: list[tuple[int, int, int]] = [(0, 0, 0)] * count
-        self._arrays: list[NDArray[Any] | None] = [None] * count  # they live as long as they are in the table
+        self._arrays: list[AnyArray | None] = [None] * count  # they live as long as they are in the table
 
-    def take(self, arrays: tuple[NDArray[Any], ...], first: int = 0) -> None:
+    def take(self, arrays: tuple[AnyArray, ...], first: int = 0) -> None:
         """Take these in hand, from the first place on, instead of those that are there."""
         known = self._arrays
         others = [(k, array) for k, array in enumerate(arrays, first) if array is not known[k]]

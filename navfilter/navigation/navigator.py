@@ -7,7 +7,6 @@ import math
 from os import PathLike
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.memory import MonitorMemory
@@ -19,7 +18,7 @@ from navfilter.filter.imu_intake import samples_of
 from navfilter.filter.model_change import Change
 from navfilter.filter.records import Tape
 from navfilter.foundation.arguments import needs
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import ChannelSeries

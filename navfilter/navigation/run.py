@@ -3,13 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from numpy.typing import ArrayLike
-
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Event, Measurement, Outcome
 from navfilter.filter.filter import Filter
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle

@@ -13,10 +13,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.models.truth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS_M, Kinematics, radii, wrapped
 from navfilter.simulation.manoeuvres import BLEND, Manoeuvre, Piece, descent
 

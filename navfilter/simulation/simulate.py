@@ -12,11 +12,10 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from navfilter.foundation.arguments import within
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.models.error_models import White
 from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.models.mechanisation.mechanisation import CROSSED

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.initial_values import tidy_series
 

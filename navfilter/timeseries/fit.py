@@ -10,10 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array, Mask
+from navfilter.foundation.arrays import Array, ArrayLike, Mask
 from navfilter.foundation.display import Value, few
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.diagnostics import Whiteness, whiteness

@@ -9,12 +9,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq, minimize_scalar
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.timeseries.diagnostics import acf
 from navfilter.timeseries.fit import Problem, fitted
 from navfilter.timeseries.model import ArmaModel

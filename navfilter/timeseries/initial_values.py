@@ -3,10 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.roots import pull_inside

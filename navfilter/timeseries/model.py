@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array, Complex
+from navfilter.foundation.arrays import Array, ArrayLike, Complex
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.timeseries.roots import is_stable, roots_of
 from navfilter.timeseries.stationary import observer, settled

@@ -5,8 +5,7 @@ must lead.
 import math
 from dataclasses import dataclass
 
-from numpy.typing import ArrayLike
-
+from navfilter.foundation.arrays import ArrayLike
 from navfilter.timeseries.roots import cancelling_pairs
 
 CRITERIA = ("aic", "aicc", "bic", "hq")

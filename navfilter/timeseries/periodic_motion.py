@@ -3,12 +3,11 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 from scipy.signal import welch
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 
 
 def find_motion_band(series: ArrayLike, rate_hz: float) -> tuple[float, float] | None:

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import needs
-from navfilter.foundation.arrays import Array, Complex
+from navfilter.foundation.arrays import Array, ArrayLike, Complex
 from navfilter.timeseries.model import ArmaModel, log_s0_sd
 from navfilter.timeseries.roots import slowest_real
 

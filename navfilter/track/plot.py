@@ -9,12 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from navfilter.foundation import utc
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import AnyArray, Array
 
-Times = NDArray[Any]  # float64, or datetime64
+Times = AnyArray  # float64, or datetime64
 COLOUR, END_COLOUR = "#0072b2", "#d55e00"
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Record = dict[str, NDArray[Any]]
+from navfilter.foundation.arrays import AnyArray
+
+Record = dict[str, AnyArray]
 
 
 def fingerprint(settings: Mapping[str, Any]) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from navfilter.foundation.arrays import AnyArray
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.table import Table, Where
 
@@ -98,5 +98,5 @@ def _shared(senders: list[Topic]) -> list[str]:
     return [field for field in senders[0].columns if all(topic.has(field) for topic in senders)]
 
 
-def _some(column: npt.NDArray[Any]) -> bool:
+def _some(column: AnyArray) -> bool:
     return column.dtype.kind not in "fc" or bool((column == column).any())

@@ -8,9 +8,8 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import AnyArray, Array
 
 #: Longer sequences (images, point clouds, spectra) are no columns.
 _LONGEST_SEQUENCE = 36
@@ -63,7 +62,7 @@ class TopicColumns:
             found = _field(record, name)
             cells.append(found if isinstance(found, str) else "" if found is None else str(found))
 
-    def _put_block(self, time_s: Array, record: Mapping[str, npt.NDArray[Any]]) -> None:
+    def _put_block(self, time_s: Array, record: Mapping[str, AnyArray]) -> None:
         if not self.fields:
             self.fields = tuple(record)
             self._names = list(self.fields) if self._wanted is None else self._wanted
@@ -78,10 +77,10 @@ class TopicColumns:
         columns = self.columns() if self._doubtful else {}
         return [name for name in self._doubtful if name in columns and np.isnan(columns[name]).all()]
 
-    def columns(self) -> dict[str, npt.NDArray[Any]]:
+    def columns(self) -> dict[str, AnyArray]:
         """Name -> array of one element per record; ``log_time`` is the first."""
         values = np.frombuffer(self._numbers, dtype=np.float64).reshape(len(self._times), -1) if self._names else None
-        columns: dict[str, npt.NDArray[Any]] = {LOG_TIME: np.array(self._times)}
+        columns: dict[str, AnyArray] = {LOG_TIME: np.array(self._times)}
         for k, name in enumerate(self._names):
             columns[name] = values[:, k].copy()  # type: ignore[index]
         for name in [name.removesuffix(".nanosec") for name in self._names if name.endswith(".nanosec")]:

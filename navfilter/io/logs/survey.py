@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import AnyArray, Array
 from navfilter.foundation.display import counted
 from navfilter.foundation.quoting import one_line
 from navfilter.io.logs.cache import files_of
@@ -50,7 +49,7 @@ class Topic:
     kind: str
     count: int
     time_s: Array
-    columns: dict[str, npt.NDArray[Any]]
+    columns: dict[str, AnyArray]
     units: dict[str, str]
 
     @property

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from navfilter.foundation import utc
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import AnyArray, Array, Ints
 from navfilter.foundation.atomic_files import replacing
 from navfilter.models.mission import Mission
 from navfilter.models.state import wrap
@@ -56,7 +55,7 @@ def _track(track: Track) -> dict[str, Any]:
     }
     rows = _thinned(len(track))
     sd = np.sqrt(np.diagonal(track.covariance[rows, :3, :3], axis1=1, axis2=2))
-    beside: dict[str, npt.NDArray[Any]] = _times(track.time_s[rows], track.epoch_utc_s)
+    beside: dict[str, AnyArray] = _times(track.time_s[rows], track.epoch_utc_s)
     beside |= {f"sd_{axis}_m": sd[:, i].round(4) for i, axis in enumerate(("north", "east", "down"))}
     return _line(np.column_stack([track.latitude, track.longitude, track.height])[rows], about, beside)
 
@@ -70,12 +69,12 @@ def _fixes(name: str, mission: Mission) -> dict[str, Any]:
     return {"type": "Feature", "properties": {"name": name, "mission": mission.name, **beside}, "geometry": shape}
 
 
-def _times(time_s: Array, epoch_utc_s: float | None) -> dict[str, npt.NDArray[Any]]:
-    times: dict[str, npt.NDArray[Any]] = {"time_s": time_s.round(6)}
+def _times(time_s: Array, epoch_utc_s: float | None) -> dict[str, AnyArray]:
+    times: dict[str, AnyArray] = {"time_s": time_s.round(6)}
     return times if epoch_utc_s is None else times | {"coordTimes": utc.text(time_s, epoch_utc_s, "ms")}
 
 
-def _line(place: Array, properties: dict[str, Any], beside: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+def _line(place: Array, properties: dict[str, Any], beside: dict[str, AnyArray]) -> dict[str, Any]:
     """A line of places, with a list for each of `beside` that has one element per place."""
     if not beside:
         place = place[_thinned(len(place))]
@@ -91,7 +90,7 @@ def _line(place: Array, properties: dict[str, Any], beside: dict[str, npt.NDArra
     return {"type": "Feature", "properties": properties, "geometry": shape}
 
 
-def _thinned(rows: int) -> npt.NDArray[np.int64]:
+def _thinned(rows: int) -> Ints:
     return np.linspace(0, rows - 1, min(rows, _MAP_POINTS)).astype(int)
 
 

@@ -6,9 +6,8 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from navfilter.foundation.arrays import Array, Mask
+from navfilter.foundation.arrays import Array, ArrayLike, Mask
 from navfilter.foundation.frozen import FrozenDescription
 from navfilter.kernels import open_loop_residual
 from navfilter.models.error_models import ErrorModel, Errors, White, check_numbers, per_axis

@@ -12,7 +12,6 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor, ReceivedMeasurement
 from navfilter.faults.lane_selection import LaneChoice
@@ -20,7 +19,7 @@ from navfilter.faults.memory import MonitorMemory
 from navfilter.filter.events import Measurement, Outcome
 from navfilter.filter.imu_intake import samples_of
 from navfilter.foundation.arguments import needs
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.health import Health, LaneHealth, Trust

@@ -6,10 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.display import Shown, few
 from navfilter.kernels import recursive_arma as kernel
 from navfilter.timeseries.model import ArmaModel, log_s0_sd

@@ -4,9 +4,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import needs, numbers
+from navfilter.foundation.arrays import ArrayLike
 from navfilter.foundation.display import Shown
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.online.order_bank import ArmaBank

@@ -6,10 +6,9 @@ The window behind an online ARMA estimate: its start, its polish at each hop, an
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from navfilter.foundation.arguments import numbers
-from navfilter.foundation.arrays import Array
+from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.display import Shown, few
 from navfilter.kernels import recursive_arma as kernel
 from navfilter.kernels import recursive_arma_window as window_kernel
