@@ -31,7 +31,7 @@ import navfilter as nf
 from navfilter.calibration.calibrate import Calibration, Found, Prediction
 from navfilter.calibration.parts import KINDS, Constant, constants_of, described, kind_of, opened
 from navfilter.io import read_vehicle, write_vehicle
-from navfilter.io.calibrated_toml import write_calibrated
+from navfilter.io.toml_editing import write_calibrated
 
 WHAT = ("position", "velocity", "heading")
 #: Squared errors over their variance beyond this are counted [1]: three sd, one in 370.

@@ -20,10 +20,10 @@ import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import VehicleError, read_mission, read_vehicle, write_vehicle
-from navfilter.io.calibrated_toml import write_calibrated
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Reading
 from navfilter.io.table import TableOptions
 from navfilter.io.tables import read_table
+from navfilter.io.toml_editing import write_calibrated
 from navfilter.io.vehicle_template import vehicle_template
 from navfilter.models.mission import MissionError
 from navfilter.service.protocol import Lines

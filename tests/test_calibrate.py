@@ -23,7 +23,7 @@ from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
-from navfilter.io.calibrated_toml import write_calibrated
+from navfilter.io.toml_editing import write_calibrated
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion

@@ -11,7 +11,7 @@ import navfilter as nf
 from navfilter.calibration.parts import constants_of, opened
 from navfilter.check.description import describe_vehicle
 from navfilter.io import write_vehicle
-from navfilter.io.calibrated_toml import write_calibrated
+from navfilter.io.toml_editing import write_calibrated
 from navfilter.models.alignment import align
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion

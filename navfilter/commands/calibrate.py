@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     from navfilter.calibration.calibrate import calibrate, calibration_text, to_dict, with_reference
     from navfilter.calibration.parts import KINDS
     from navfilter.io import read_vehicle
-    from navfilter.io.calibrated_toml import write_calibrated
+    from navfilter.io.toml_editing import write_calibrated
     from navfilter.io.write import write_json
     from navfilter.playback.instructions import instructed
 
