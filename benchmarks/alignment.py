@@ -17,11 +17,10 @@ import numpy as np
 from harness import Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import survey_vehicle
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 SCORED_AFTER_S = 20.0
 

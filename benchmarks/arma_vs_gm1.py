@@ -55,9 +55,9 @@ from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay, residual_series
-from navfilter.simulation.faults import draw_error
 from navfilter.simulation.motion import frame_rates, gravity
 from navfilter.simulation.presets import tactical_imu
+from navfilter.simulation.simulate import draw_error
 from navfilter.track.track import Track
 
 MODELS = ("white", "gm1", "gm1-fitted", "vehicle", "arma")

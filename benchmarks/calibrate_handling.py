@@ -20,10 +20,9 @@ import navfilter as nf
 from navfilter.commands.cli import main as command
 from navfilter.io import write_vehicle
 from navfilter.models.mission import Stream
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 #: What the velocity is really off by.
 WRONG = Faults(scale=0.02, misalignment_rad=(0.0, 0.0, 3.0 * DEG), lever_arm_m=(0.5, 0.0, 0.0), time_offset_s=0.35)

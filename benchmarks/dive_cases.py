@@ -29,8 +29,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import navfilter as nf
-from navfilter.evaluation.adaptive import RULES, adaptive_monitor
-from navfilter.evaluation.baselines import rival
+from navfilter.evaluation.baselines import RULES, adaptive_monitor, rival
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.io import read_mission, read_vehicle
 from navfilter.models.mission import Stream

@@ -2,7 +2,7 @@
 
 Every filter gets the same readings, mechanisation and constants as states (or none): navfilter as described, learnt,
 and with every reading used; innovation-adaptive R, Sage-Husa, variational Bayes, merged models and Student's t
-(`navfilter.evaluation.adaptive`). Nine dives of 400 s with a post-processed truth, by the protocols of `dive_cases`:
+(`navfilter.evaluation.baselines`). Nine dives of 400 s with a post-processed truth, by the protocols of `dive_cases`:
 raw, with an outage, low-cost, published and printed. The figures that papers give for the same task are printed beside,
 with what differs. Environment variable NAVFILTER_DATA.
 """

@@ -39,7 +39,7 @@ def without_agreement() -> Iterator[None]:
 
     with (
         mock.patch.object(policy, "_agreed", nothing),
-        mock.patch("navfilter.filter.channel_model.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
+        mock.patch("navfilter.filter.sensor_channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
         mock.patch("navfilter.faults.monitor.FaultMonitor.is_stale", lambda *_: False),
     ):
         yield

@@ -22,9 +22,8 @@ from navfilter.models.lane_missions import of_one_unit
 from navfilter.models.sensors import Sensor
 from navfilter.models.start import Start
 from navfilter.models.state import wrap
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import COMPASS, reckoning_vehicle, survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 END_S, DIVE_S, BACK_S, FAULT_S, MINUTE_S, JUDGED_S = 700.0, 140.0, 500.0, 250.0, 60.0, 620.0
 RADIUS_M, G = 6.371e6, 9.80665

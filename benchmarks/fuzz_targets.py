@@ -22,7 +22,7 @@ from navfilter.check.plausibility import check_vehicle
 from navfilter.io import VehicleError, read_mission, read_vehicle, write_vehicle
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Reading
 from navfilter.io.table import TableOptions
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.io.toml_editing import write_calibrated
 from navfilter.io.vehicle_template import vehicle_template
 from navfilter.models.mission import MissionError

@@ -44,8 +44,8 @@ from recordings import known_until
 from navfilter.calibration.over_dives import LEAST_GAP_S, TOGETHER, OverDives, learn, models_of, pooled
 from navfilter.evaluation.baselines import learnable, rival
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.models.learned_arma import larger
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
-from navfilter.models.scaled_errors import larger
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 

@@ -24,11 +24,10 @@ from harness import DEG, Options, Table, flag, main, quick
 
 import navfilter as nf
 from navfilter.models.mission import Mission
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Manoeuvre, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.presets import mems_imu
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 #: Without fixes so long, so often [s].
 LOST_S, EVERY_S = 60.0, 300.0

@@ -27,11 +27,10 @@ from harness import Options, Table, flag, main, quick
 from honest_bars import JUDGED, Bar, bars
 
 import navfilter as nf
-from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign
-from navfilter.evaluation.montecarlo.store import Store
+from navfilter.evaluation.montecarlo.campaign import Campaign, Store, run_campaign
 from navfilter.evaluation.montecarlo.tables import SlotRow, slot_rows
 from navfilter.evaluation.montecarlo.workers import process_pool
-from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES
+from navfilter.simulation.scenarios import GYROS, MOTIONS, STUDIES
 
 RIVALS = ("oracle", "gm1-fitted", "vehicle")
 #: Columns of the table: quantity and reference.

@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 
 import navfilter as nf
 from navfilter.evaluation.baselines import rivals
-from navfilter.simulation.campaigns import GYROS, MOTIONS, stage
+from navfilter.simulation.scenarios import GYROS, MOTIONS, stage
 
 BEGIN_S = 120.0
 #: What is odd [1]: a NEES above the first, or a root mean square over that of the file above the second.

@@ -22,9 +22,8 @@ from honest_constants import ARM, DEVIATION, SCALE, unsure
 from honest_constants import MOTIONS as DIVES
 
 import navfilter as nf
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey_vehicle, transit
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG = math.pi / 180.0
 SLOTS = ((60.0, 120.0), (120.0, 520.0), (520.0, 1200.0), (1200.0, 2700.0), (2700.0, 5400.0))

@@ -33,9 +33,8 @@ from random_vehicles import MOTIONS, between, chance, north, place, unit, veloci
 
 import navfilter as nf
 from navfilter.kernels import open_loop_residual
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 #: Scored from then on [s]; a case is looked at again whose NEES is above this [1].
 BEGIN_S, ODD = 30.0, 5.0

@@ -21,7 +21,7 @@ from honest_random import Case
 
 import navfilter as nf
 from navfilter.evaluation.assessment import Verdict, judge
-from navfilter.evaluation.fix_reacquisition import evidence
+from navfilter.evaluation.diagnostics import evidence
 
 #: Scored from then on [s]; wrong is what has more than the first of these [1], right what has less than the second.
 BEGIN_S, ODD, EVEN = 120.0, 5.0, 2.0

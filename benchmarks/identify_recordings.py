@@ -21,9 +21,9 @@ from harness import Array, Options, Table, data_root, flag, main, quick
 import navfilter as nf
 from navfilter.identification.identify import Identification, identify
 from navfilter.io.geodesy import matrix_from_euler
-from navfilter.io.series import Series, read_series
+from navfilter.io.inertial import Series, read_series
 from navfilter.io.table import TableOptions
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 
 
 @dataclass(frozen=True)

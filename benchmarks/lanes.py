@@ -17,9 +17,8 @@ from harness import DEG, Options, Table, flag, main, quick
 
 import navfilter as nf
 from navfilter.models.mission import Mission, Stream
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 from navfilter.track.track import Track
 
 #: What a reading becomes, by the name of the fault: its sensor; from seconds since the fault, readings, and those of

@@ -18,8 +18,7 @@ from harness import Array, Options, Table, flag, main, quick
 from honest_random import BEGIN_S, WHAT, Case
 
 import navfilter as nf
-from navfilter.simulation.faults import Faults
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 #: Scored from then on [s]: a mission's start stands twice as long as in `honest_random.py`.
 FROM_S = 2.0 * BEGIN_S

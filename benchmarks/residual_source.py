@@ -45,8 +45,8 @@ from navfilter.models.mission import Mission, Stream
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.state import wrap
 from navfilter.playback.replay import residual_series
-from navfilter.simulation.campaigns import Staged, stage
-from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import Staged, stage
+from navfilter.simulation.simulate import Faults
 from navfilter.timeseries.model import ArmaModel
 
 DURATION_S, LEARN_S = 1800.0, 900.0

@@ -14,7 +14,7 @@ from dataclasses import replace
 from harness import MAPPINGS
 
 from navfilter.calibration.parts import constants_of, described
-from navfilter.evaluation.calibration_states import Constant, constants
+from navfilter.evaluation.correlations import Constant, constants
 from navfilter.models.vehicle import Vehicle
 from navfilter.track.track import Track
 

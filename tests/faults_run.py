@@ -21,9 +21,8 @@ from navfilter.models.mission import Mission, Stream
 from navfilter.models.state import NavState, matrix_from_euler
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.navigator import Navigator
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 #: A smallest eigenvalue (of the covariance scaled to a unit diagonal) at or below this is not positive definite. Models
 #: without white noise make covariances that are singular for a moment after a reading; what an eigenvalue is rounded by

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.evaluation.adaptive import CEILING, FLOOR, RULES, ReadingRule, StudentT, adaptive_monitor, as_white
-from navfilter.evaluation.baselines import replay_rival, rival
+from navfilter.evaluation.baselines import (
+    CEILING,
+    FLOOR,
+    RULES,
+    ReadingRule,
+    StudentT,
+    adaptive_monitor,
+    as_white,
+    replay_rival,
+    rival,
+)
 from navfilter.simulation.scenarios import simulate_scenario
 
 R0, P = 1.0, 0.3

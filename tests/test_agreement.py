@@ -31,9 +31,8 @@ from navfilter.models.fault_bias import (
     with_the_same_offsets,
 )
 from navfilter.models.state import wrap
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG = math.pi / 180.0
 RADIUS_M = 6.37e6

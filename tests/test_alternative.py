@@ -13,9 +13,8 @@ from navfilter.evaluation.baselines import rivals
 from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.faults import settings
 from navfilter.navigation import runner
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG, METRES = math.pi / 180.0, 6.37e6
 TURN_S, FAULT_S = 175.0, 120.0  # between two quarter turns, and anywhere

@@ -9,9 +9,8 @@ from test_fault_bank import DEG_H, DIVE_S, END_S, SHIFT_S, long_dive, shifted_by
 
 import navfilter as nf
 from navfilter.models.state import matrix_from_euler
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG = math.pi / 180.0
 

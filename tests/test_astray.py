@@ -155,7 +155,7 @@ def test_fixes_are_not_blamed_for_long_for_a_dvl_and_a_compass_that_are_describe
 
     judged, rms_m = rms()
     assert judged.counts["astray"] + judged.counts["jumped"] >= 1  # it is said
-    monkeypatch.setattr("navfilter.filter.channel_model.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
+    monkeypatch.setattr("navfilter.filter.sensor_channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
     believing, plain_m = rms()
     assert believing.counts["astray"] == 0 and rms_m < plain_m
 

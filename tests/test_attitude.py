@@ -15,10 +15,9 @@ from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
 from navfilter.models.state import NavState, euler_from_matrix, matrix_from_euler
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, Lawnmower, Wait
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 DEG = math.pi / 180.0
 SEEDS = range(12)

@@ -16,11 +16,10 @@ from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.evaluation.assessment import assess
 from navfilter.io import write_vehicle
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Straight, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import lawnmower, survey_vehicle
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 SEEDS = range(12)
 FIXES = ((0.0, 60.0),)

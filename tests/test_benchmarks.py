@@ -142,8 +142,7 @@ def test_runs_that_do_not_learn_are_taken_from_an_earlier_program(tmp_path, monk
     monkeypatch.syspath_prepend(BENCHMARKS)
     import honest
 
-    from navfilter.evaluation.montecarlo.campaign import Campaign
-    from navfilter.evaluation.montecarlo.store import Store
+    from navfilter.evaluation.montecarlo.campaign import Campaign, Store
 
     campaign = Campaign("compass-white", duration_s=100.0, imu_rate_hz=20.0)
     before = Store(tmp_path / "before", campaign.settings | {"program": "earlier"})

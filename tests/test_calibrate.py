@@ -24,10 +24,9 @@ from navfilter.calibration.parts import KINDS, constants_of, described, opened
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.io.toml_editing import write_calibrated
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG = np.pi / 180.0
 #: What the velocity is really off by: 0.35 s, 0.5 m, 2 %, 3 deg.
@@ -474,7 +473,7 @@ def test_a_calibrated_mean_is_where_the_state_begins():
     value, sd = track.state("velocity.scale")
     assert value[0] == 0.02 and sd[0] == 0.0005 and abs(value[-1] - 0.02) < 0.0015
     # what was found is no news: it has not left what the file says
-    from navfilter.evaluation.calibration_states import constants
+    from navfilter.evaluation.correlations import constants
 
     (one,) = [c for c in constants(track) if c.name == "velocity.scale"]
     assert one.given == 0.02 and abs(one.value - one.given) < 2.5 * one.given_sd

@@ -10,9 +10,9 @@ import pytest
 
 from navfilter.models.error_models import per_axis
 from navfilter.models.state import wrap
-from navfilter.simulation import studies
-from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES, stage
-from navfilter.simulation.faults import Changing
+from navfilter.simulation import scenarios as studies
+from navfilter.simulation.scenarios import GYROS, MOTIONS, STUDIES, stage
+from navfilter.simulation.simulate import Changing
 
 TABLES = {t["name"]: t for t in json.loads((Path(__file__).parent / "appendix_a.json").read_text())["tables"]}
 DEG = np.pi / 180.0

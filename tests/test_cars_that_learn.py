@@ -8,10 +8,9 @@ import pytest
 import navfilter as nf
 from navfilter.evaluation.baselines import rivals
 from navfilter.models.mission import Stream
-from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, draw_error, simulate
 
 DEG, FIXED_S, RATE_HZ = np.pi / 180.0, 42.0, 10.0
 SEEDS, MANY = range(51, 57), range(51, 75)

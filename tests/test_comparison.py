@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from small_run import small_run
 
 import navfilter as nf
-from navfilter.evaluation import learned_text
+from navfilter.evaluation import over_dives_text
 from navfilter.evaluation.comparison import independent, innovation_series
 from navfilter.filter.records import OUTCOMES, Residuals
 from navfilter.foundation.chi_square import chi_square_range
@@ -241,7 +241,7 @@ def learnt(track):
 def test_the_history_of_what_was_learnt(runs):
     _, tracks = runs
     track = learnt(tracks["forward"])
-    histories = learned_text.learnt(track)
+    histories = over_dives_text.learnt(track)
     assert [h.title for h in histories] == ["compass", "dvl y"]
     assert histories[0].time_s == (30.0, 60.0, 90.0) and [m.p for m in histories[0].models] == [1, 2, 2]
     plain = adopted_models({"arma": track, "gm1": tracks["forward"]})

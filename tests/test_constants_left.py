@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import navfilter as nf
 from navfilter.evaluation.assessment import assess
-from navfilter.evaluation.calibration_states import constants
+from navfilter.evaluation.correlations import constants
 from navfilter.io.write import labelled
 from navfilter.playback.replay import replay
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 TURNS = (
     ChangeSpeed(1.5, 10.0),

@@ -11,7 +11,7 @@ from statsmodels.tsa.stattools import ccf as sm_ccf
 from statsmodels.tsa.stattools import pacf as sm_pacf
 
 import navfilter as nf
-from navfilter.timeseries.gauss_markov import gauss_markov_correlation
+from navfilter.timeseries.fit import gauss_markov_correlation
 
 SERIES = nf.simulate_arma([-0.7], [0.4], 2.0, 1200, seed=1) + 50.0
 

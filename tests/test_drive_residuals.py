@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.report.state_figures import drive_residuals, steps_figure
+from navfilter.report.figures import drive_residuals, steps_figure
 from navfilter.simulation.scenarios import simulate_scenario
 
 DURATION_S = 300.0

@@ -8,18 +8,17 @@ import pytest
 
 import navfilter as nf
 from navfilter.commands.cli import main
-from navfilter.evaluation.calibration_states import constant_lights
+from navfilter.evaluation.correlations import constant_lights
 from navfilter.io import read_mission, write_vehicle
 from navfilter.models.during import During
 from navfilter.models.error_models import Arma, Cycle, GaussMarkov, RandomWalk, White
-from navfilter.models.learned_arma import LearnedArma
-from navfilter.models.scaled_errors import larger
+from navfilter.models.learned_arma import LearnedArma, larger
 from navfilter.navigation.navigator import Navigator
 from navfilter.playback.instructions import instructed
 from navfilter.playback.replay import replay
 from navfilter.report.report import outages
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track.trust import spells
+from navfilter.track.track import spells
 
 
 @pytest.fixture(scope="module")

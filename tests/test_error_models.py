@@ -12,7 +12,7 @@ import navfilter as nf
 from navfilter.filter.state_layout import Layout
 from navfilter.models.error_models import CORRELATION_CONSTANTS, per_axis
 from navfilter.models.error_models import gauss_markov as discretised
-from navfilter.simulation.faults import draw_error
+from navfilter.simulation.simulate import draw_error
 
 
 def autocovariance(block, lags):

@@ -11,9 +11,8 @@ from kernel_inputs import assert_close, run_both
 
 import navfilter as nf
 from navfilter.kernels import consistency, delayed_state
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, survey, survey_vehicle, transit
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 SCALE, ARM, CLOCK = {"scale_sd": 0.005}, {"lever_arm_sd_m": (0.2, 0.2, 0.2)}, {"time_offset_sd_s": 0.3}
 SLOW = nf.GaussMarkov(sd=0.01, tau_s=20.0) + nf.White(sd=0.01)

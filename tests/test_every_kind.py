@@ -14,10 +14,9 @@ from test_passage import assert_same, changed, one_by_one
 import navfilter as nf
 from navfilter.navigation import runner
 from navfilter.playback.replay import at_the_end
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 DEG = np.pi / 180.0
 MOTION = Motion(

@@ -22,9 +22,8 @@ from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.state import matrix_from_euler
 from navfilter.navigation import runner
 from navfilter.playback.instructions import instructed
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 from navfilter.timeseries.model import ArmaModel
 
 DEG = math.pi / 180.0

@@ -9,7 +9,7 @@ from feeding import DRIVE, events_of
 import navfilter as nf
 from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.simulation.campaigns import stage
+from navfilter.simulation.scenarios import stage
 
 RUN = ("latitude", "longitude", "height", "velocity_n", "attitude", "covariance")
 

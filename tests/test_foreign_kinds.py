@@ -29,11 +29,10 @@ from navfilter.playback.replay import drive_samples
 from navfilter.report.report import render_report
 from navfilter.service.log import LOG_FILE, prepare_log
 from navfilter.service.session import Options
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import SCENARIOS
-from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
+from navfilter.simulation.simulate import Faults, StartErrors, simulate, tiny_missions
 
 
 # --- a sensor: the distance to a beacon, with an unknown offset

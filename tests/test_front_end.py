@@ -5,8 +5,7 @@ import pytest
 
 from navfilter.timeseries.fit import fit_arma
 from navfilter.timeseries.model import simulate_arma
-from navfilter.timeseries.online.order_bank import ArmaBank
-from navfilter.timeseries.online.preprocessing import FrontEnd, find_resolution, repeat_share
+from navfilter.timeseries.online.order_bank import ArmaBank, FrontEnd, find_resolution, repeat_share
 from navfilter.timeseries.online.recursive import RecursiveArma
 from navfilter.timeseries.periodic_motion import find_motion_band, subtract_motion
 

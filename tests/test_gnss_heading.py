@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.presets import mems_imu
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 

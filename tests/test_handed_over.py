@@ -14,7 +14,7 @@ from small_run import small_run
 
 import navfilter as nf
 from navfilter.kernels import kalman
-from navfilter.simulation.campaigns import stage
+from navfilter.simulation.scenarios import stage
 
 WHITE = nf.White(sd=0.1)
 IMU = nf.Imu(rate_hz=100)

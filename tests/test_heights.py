@@ -10,9 +10,8 @@ import pytest
 from feeding import once_a_second
 
 import navfilter as nf
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DURATION_S, DIVE_S, BACK_S, FAULT_S = 260.0, 100.0, 210.0, 120.0
 #: Drift of the gauge, or of the height that the DVL makes [m/s].

@@ -18,7 +18,7 @@ from navfilter.identification.conditioning import MAX_SAMPLES, condition, gap_fr
 from navfilter.identification.identify import identify, model_allan_deviation
 from navfilter.identification.online import track_online, tracks_text
 from navfilter.identification.report import as_dict, error_lines, identification_figures, summary_text
-from navfilter.io.series import Series, on_a_grid, read_series
+from navfilter.io.inertial import Series, on_a_grid, read_series
 from navfilter.io.table import TableOptions
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, Sum, White
 from navfilter.models.interpretation import read_model

@@ -22,10 +22,8 @@ from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
 from navfilter.models.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LONGEST_GAP
-from navfilter.simulation.campaigns import stage
-from navfilter.simulation.faults import Faults, draw_error
-from navfilter.simulation.scenarios import dive, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.scenarios import dive, stage, survey_vehicle
+from navfilter.simulation.simulate import Faults, draw_error, simulate
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import add_arma
 

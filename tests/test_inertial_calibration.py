@@ -8,7 +8,7 @@ from feeding import events_of, one_by_one
 import navfilter as nf
 from navfilter.calibration.parts import constants_of
 from navfilter.check.plausibility import check_vehicle
-from navfilter.evaluation.calibration_states import constants
+from navfilter.evaluation.correlations import constants
 from navfilter.filter.state_layout import Layout
 from navfilter.io import write_vehicle
 from navfilter.kernels import strapdown

@@ -15,9 +15,8 @@ from navfilter.faults.protection_level import IN_LINE, IN_PLANE, bounds, trust, 
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.models.health import Trust
 from navfilter.service.protocol import state_fields, to_line
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 P = np.diag([4.0, 4.0, 1.0, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-4])
 FAULTS = {

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG, MILLI_G = math.pi / 180.0, 9.80665e-3
 

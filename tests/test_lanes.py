@@ -15,9 +15,8 @@ from navfilter.io import write_vehicle
 from navfilter.io.json_lines import LineParser
 from navfilter.models.mission import Stream
 from navfilter.service.session import Options, Session
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG = math.pi / 180.0
 FAULT_S, END_S = 65.0, 130.0

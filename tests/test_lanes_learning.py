@@ -12,9 +12,8 @@ from navfilter.faults.lane_selection import LaneChoice
 from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation.lanes.replay import LaneReplay
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 END_S = 230.0
 LEARNT = {

@@ -27,12 +27,9 @@ from navfilter.models.error_models import block_level
 from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
 from navfilter.models.spectrum import Spectrum
 from navfilter.playback.replay import residual_series
-from navfilter.simulation.campaigns import stage
-from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.manoeuvres import Lawnmower
-from navfilter.simulation.scenarios import SCENARIOS, dive, survey_vehicle
-from navfilter.simulation.simulate import simulate
-from navfilter.simulation.studies import USUAL
+from navfilter.simulation.scenarios import SCENARIOS, USUAL, dive, stage, survey_vehicle
+from navfilter.simulation.simulate import Changing, Faults, simulate
 from navfilter.timeseries.model import ArmaModel
 
 DEG = np.pi / 180.0

@@ -8,13 +8,12 @@ import pytest
 
 import navfilter as nf
 from navfilter.evaluation.assessment import judge
-from navfilter.evaluation.fix_reacquisition import evidence
+from navfilter.evaluation.diagnostics import evidence
 from navfilter.evaluation.omitted_parameters import left_out, left_out_doubts
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import reckoning_vehicle, simulate_scenario, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG = math.pi / 180.0
 PIECES = (FigureEight(rate_deg_s=8.0), ChangeSpeed(0.6, 4.0), Straight(15.0), ChangeSpeed(1.5, 4.0), Turn(130.0))

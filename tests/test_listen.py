@@ -16,9 +16,8 @@ from navfilter.models.mission import Stream
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LONGEST_GAP
 from navfilter.playback.replay import residual_series
-from navfilter.simulation.faults import draw_errors
 from navfilter.simulation.scenarios import survey_vehicle, transit, turns_and_dives
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import draw_errors, simulate
 
 # ---------------------------------------------------------------- kernels and their twins
 

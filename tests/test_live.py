@@ -19,10 +19,9 @@ from state_differences import differences
 
 import navfilter as nf
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import tactical_imu
 from navfilter.simulation.scenarios import lawnmower, simulate_scenario
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 
 def learning(vehicle):

@@ -19,7 +19,7 @@ mavutil = pytest.importorskip(
     "pymavlink.mavutil", reason='pymavlink is not installed: pip install "navfilter[ardupilot]"'
 )
 DFReader = pytest.importorskip("pymavlink.DFReader")
-dataflash = pytest.importorskip("navfilter.io.logs.dataflash")
+dataflash = pytest.importorskip("navfilter.io.logs.ardupilot")
 
 BIN, TLOG = "ardupilot/ardusub_small.BIN", "ardupilot/ardusub_small.tlog"
 
@@ -89,7 +89,7 @@ def by_pymavlink(path):
 
 def assert_as_by_pymavlink(path):
     wanted, found = Wanted(), {}
-    for topic, time_s, record in dataflash.records(path, wanted, Counter()):
+    for topic, time_s, record in dataflash.dataflash_records(path, wanted, Counter()):
         times, rows = found.setdefault(topic, ([], {}))
         times += np.atleast_1d(time_s).tolist()
         for name, cells in record.items():

@@ -11,7 +11,7 @@ import pytest
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.io.logs import FORMATS, formats
-from navfilter.io.logs.known_topics import READINGS
+from navfilter.io.logs.guessed_columns import READINGS
 from navfilter.io.logs.survey import survey, survey_text
 from navfilter.io.mission_schema import mission_spec
 from navfilter.io.validation import validate

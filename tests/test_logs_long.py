@@ -6,7 +6,7 @@ import pytest
 import navfilter as nf
 from navfilter.io.logs import Shelf
 from navfilter.io.table import TableOptions, Where
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.models.mission import MissionError
 
 ALOG = """\

@@ -11,7 +11,7 @@ import pytest
 import navfilter as nf
 from navfilter.io.logs import Shelf, format_of, nmea
 from navfilter.io.table import TableOptions, Where
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.models.mission import MissionError
 
 pytest.importorskip("pynmeagps", reason='pynmeagps is not installed: pip install "navfilter[nmea]"')

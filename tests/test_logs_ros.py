@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 import navfilter as nf
+from navfilter.io.inertial import read_series
 from navfilter.io.logs import Shelf
-from navfilter.io.series import read_series
 from navfilter.io.table import TableOptions, Where
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.models.mission import MissionError
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2", reason='rosbags is not installed: pip install "navfilter[ros]"')

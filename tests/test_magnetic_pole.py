@@ -13,10 +13,9 @@ from navfilter.check.description import describe_vehicle
 from navfilter.evaluation.assessment import assess
 from navfilter.models.magnetic import north
 from navfilter.simulation import presets
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 DEG = np.pi / 180.0
 DAY = datetime.date(2026, 6, 1)

@@ -14,7 +14,7 @@ import scipy.io
 
 from navfilter.io import geodesy, read_mission
 from navfilter.io.table import Table, TableOptions
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.io.trust import expand
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 from navfilter.models.start import Start

@@ -14,7 +14,7 @@ from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.mixture import LEAST_SHARE, described_share
 from navfilter.models.error_models import Sum, block_level
 from navfilter.models.navigation_drift import Drift
-from navfilter.simulation.faults import draw_error
+from navfilter.simulation.simulate import draw_error
 
 PERIOD_S = 0.5
 DRIFT = Drift((1e-4, 1e-6), PERIOD_S)

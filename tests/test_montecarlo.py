@@ -22,10 +22,9 @@ from scipy import stats
 from navfilter.commands.cli import main
 from navfilter.evaluation.montecarlo import campaign as campaigns
 from navfilter.evaluation.montecarlo import workers
-from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign, run_seed
+from navfilter.evaluation.montecarlo.campaign import Campaign, Store, run_campaign, run_seed
 from navfilter.evaluation.montecarlo.figures import write_figures
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.tables import (
     mean_interval,
     ratio_interval,
@@ -453,7 +452,7 @@ def test_the_command_writes_everything_and_says_the_table(small, tmp_path, capsy
 
 
 def test_the_list_names_all_scenarios(capsys):
-    from navfilter.simulation.campaigns import STUDIES
+    from navfilter.simulation.scenarios import STUDIES
 
     assert main(["montecarlo", "--list"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(STUDIES)

@@ -24,8 +24,7 @@ from navfilter.identification.noise_sheet import (
 from navfilter.identification.noise_sheet_text import plus_minus, sheet_text
 from navfilter.identification.noise_terms import bands_of, fit_terms, shape
 from navfilter.identification.static_detection import moving_together, stillness
-from navfilter.io.inertial import ImuColumns, ImuRecord, read_imu
-from navfilter.io.series import on_a_grid
+from navfilter.io.inertial import ImuColumns, ImuRecord, on_a_grid, read_imu
 from navfilter.io.table import TableOptions
 from navfilter.models.mission import Mission, MissionError, Stream
 from navfilter.timeseries.diagnostics import allan_edf

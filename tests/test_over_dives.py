@@ -24,7 +24,7 @@ from navfilter.evaluation.over_dives_text import axis_spectra
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.toml_editing import write_over_dives
 from navfilter.io.vehicle_toml import read_learnt
-from navfilter.models.scaled_errors import parts_of, scaled
+from navfilter.models.learned_arma import parts_of, scaled
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import simulate

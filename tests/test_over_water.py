@@ -8,12 +8,11 @@ import same_runs
 from feeding import events_of, one_by_one
 
 import navfilter as nf
-from navfilter.evaluation.calibration_states import constants
+from navfilter.evaluation.correlations import constants
 from navfilter.io import write_vehicle
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, Straight, Turn
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 DEG = np.pi / 180.0
 WAY = Motion(

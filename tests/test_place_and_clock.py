@@ -18,10 +18,9 @@ from navfilter.kernels import measurement
 from navfilter.kernels.consistency import WINDOW_S
 from navfilter.kernels.delayed_state import SLOPE_S
 from navfilter.models.state import NavState, matrix_from_euler
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
 NONE = np.zeros((6, 0))

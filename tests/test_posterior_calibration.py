@@ -11,7 +11,7 @@ from navfilter.learning.axis_learner import Learner
 from navfilter.learning.moment_matching import slow_psd
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.navigation_drift import Drift
-from navfilter.simulation.faults import draw_error
+from navfilter.simulation.simulate import draw_error
 
 PERIOD_S, WINDOW, WHITE = 0.5, 1000, 0.2
 #: Of a tactical gyro [deg]: random walk, bias and its walk.

@@ -6,10 +6,9 @@ import pytest
 import navfilter as nf
 from navfilter.filter.state_layout import Layout
 from navfilter.models.learned_arma import as_described
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu
 from navfilter.simulation.scenarios import lawnmower
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 SLOW, WHITE = nf.GaussMarkov(sd=0.3, tau_s=40.0), nf.White(sd=0.1)
 

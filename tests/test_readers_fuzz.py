@@ -20,7 +20,7 @@ from navfilter.io.columns import LATEST_S
 from navfilter.io.mat5 import check_mat5
 from navfilter.io.mission_toml import RunsError
 from navfilter.io.table import TableOptions
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.models.mission import Mission, MissionError, Stream
 
 # One folder serves all examples of a test: each example overwrites its files.

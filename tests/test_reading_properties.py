@@ -18,12 +18,11 @@ import navfilter as nf
 from navfilter.check.streams import stream_findings
 from navfilter.io import dates
 from navfilter.io.columns import since_1970
-from navfilter.io.inertial import _held, _marked
+from navfilter.io.inertial import _held, _marked, on_a_grid
 from navfilter.io.logs.logger_stamps import LoggerClock
-from navfilter.io.series import on_a_grid
 from navfilter.io.stamps import continued, runs_of, strays
 from navfilter.io.stream_joining import block_mean, circular_mean, mean, resampled
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.io.units import angles
 from navfilter.models.mission import MissionError
 

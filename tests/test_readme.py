@@ -18,8 +18,7 @@ from navfilter.commands.replay import save
 from navfilter.io import read_vehicle
 from navfilter.io.json_lines import LineParser, Reading
 from navfilter.service.session import Options, Session
-from navfilter.simulation.campaigns import STUDIES
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import STUDIES, simulate_scenario
 
 ROOT = Path(__file__).parent.parent
 PAGES = {

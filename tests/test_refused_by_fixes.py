@@ -18,7 +18,7 @@ from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.learned_arma import learned_part
-from navfilter.simulation.campaigns import stage
+from navfilter.simulation.scenarios import stage
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 #: The first early age ends at 18 s, and the beginning done again has come as far 0.3 s later.

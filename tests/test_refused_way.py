@@ -16,9 +16,8 @@ from navfilter.faults import alternative_path, innovation_gate
 from navfilter.faults import settings as fault_settings
 from navfilter.faults.alternative_path import AlternativePath, believable, followed, follows, since_fix, with_rejected
 from navfilter.faults.sensor_bias import RejectionRun
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 DEG, RADIUS_M = math.pi / 180.0, 6.371e6
 FAULT_S, END_S = 250.0, 420.0

@@ -5,7 +5,7 @@ import pytest
 
 import navfilter as nf
 from navfilter.check.plausibility import check_vehicle
-from navfilter.evaluation.calibration_states import constants
+from navfilter.evaluation.correlations import constants
 from navfilter.io import write_vehicle
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, Straight, Turn
 from navfilter.simulation.motion import Motion

@@ -18,12 +18,9 @@ from navfilter.foundation.state_values import copied
 from navfilter.kernels import noise_scale
 from navfilter.models.fault_bias import with_offsets
 from navfilter.navigation import runner
-from navfilter.simulation.campaigns import stage
-from navfilter.simulation.faults import Faults, draw_error
 from navfilter.simulation.presets import mems_imu, tactical_imu
-from navfilter.simulation.scenarios import lawnmower
-from navfilter.simulation.simulate import simulate
-from navfilter.simulation.studies import scaled
+from navfilter.simulation.scenarios import lawnmower, scaled, stage
+from navfilter.simulation.simulate import Faults, draw_error, simulate
 
 DEG, RADIUS_M = math.pi / 180.0, 6.37e6
 NOISE_S, MINUTE_S = FAULT_S + 10.0, 60.0

@@ -17,7 +17,7 @@ import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.io.json_lines import LineParser, Reading
 from navfilter.service.log import LOG_FILE
-from navfilter.service.waterlinked import PORT, Instrument, WaterLinked, waterlinked
+from navfilter.service.sources import PORT, Instrument, WaterLinked, waterlinked
 
 VEHICLE = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors={"dvl": nf.BodyVelocity(), "water": nf.WaterVelocity()})
 

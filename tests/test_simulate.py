@@ -16,7 +16,6 @@ from navfilter.models.sensors import BodyVelocity, Depth, Heading, Position
 from navfilter.models.state import NavState
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
-from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
 from navfilter.simulation.presets import (
@@ -28,7 +27,18 @@ from navfilter.simulation.presets import (
     tcm2_compass,
 )
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
-from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
+from navfilter.simulation.simulate import (
+    Changing,
+    Faults,
+    StartErrors,
+    draw_error,
+    draw_errors,
+    generator,
+    outliers,
+    quantise,
+    simulate,
+    tiny_missions,
+)
 
 DEG = math.pi / 180.0
 SILENT = White(sd=0.0)

@@ -16,10 +16,9 @@ from navfilter.learning.slow_prior import SlowPrior, slow_prior
 from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.models.navigation_drift import Drift
 from navfilter.models.spectrum import Spectrum, log_spread
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.presets import mems_imu
 from navfilter.simulation.scenarios import SCENARIOS, survey_vehicle
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 from navfilter.timeseries.model import ArmaModel, simulate_arma
 
 PERIOD_S = 0.5

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from navfilter.check import check_mission
-from navfilter.check.felt_velocity import felt_clock
+from navfilter.check.shared_motion import felt_clock
 from navfilter.io import read_mission
 from navfilter.models.mission import Mission, Stream
 from navfilter.simulation.scenarios import simulate_scenario

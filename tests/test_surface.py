@@ -9,11 +9,10 @@ import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, Straight, Surface
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.presets import tactical_imu
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 #: How well it is known how high the antenna stands above the water [m].
 TRIM_M = 0.1

@@ -8,13 +8,12 @@ import pytest
 
 from navfilter.commands.cli import main
 from navfilter.evaluation.assessment import assess
-from navfilter.evaluation.fix_reacquisition import evidence, surfacings
+from navfilter.evaluation.diagnostics import evidence, surfacings
 from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import labelled
 from navfilter.models.error_models import White
 from navfilter.models.mission import Stream
-from navfilter.playback.held_out import drift, score, withhold
-from navfilter.playback.replay import replay
+from navfilter.playback.replay import drift, replay, score, withhold
 from navfilter.simulation.scenarios import simulate_scenario
 
 REJECTED = OUTCOMES.index("rejected")

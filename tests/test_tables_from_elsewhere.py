@@ -10,8 +10,8 @@ import pytest
 import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.commands.cli import main
+from navfilter.io.inertial import read_series
 from navfilter.io.logs.draft import draft, survey_of
-from navfilter.io.series import read_series
 from navfilter.models.mission import MissionError
 
 NOON = 1682942400.0  # 2023-05-01T12:00:00Z

@@ -14,7 +14,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter.timeseries.gauss_markov import gauss_markov_correlation
+from navfilter.timeseries.fit import gauss_markov_correlation
 
 TABLES = {t["name"]: t for t in json.loads((Path(__file__).parent / "appendix_a.json").read_text())["tables"]}
 

@@ -14,7 +14,7 @@ from navfilter.io.write import labelled, write_summary
 from navfilter.report.figures import spell_rows, trust_figure
 from navfilter.report.report import render_report
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track.trust import DegradedInterval, integrity_figures, spells
+from navfilter.track.track import DegradedInterval, integrity_figures, spells
 
 STUCK, TURNED, SILENT = (60.0, 80.0), (100.0, 120.0), (150.0, 175.0)
 

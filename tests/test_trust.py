@@ -15,10 +15,10 @@ import scipy.io
 from navfilter.commands.cli import main
 from navfilter.io import read_mission, read_vehicle
 from navfilter.io.containers import read_npz
+from navfilter.io.inertial import read_series
 from navfilter.io.logs.survey import survey
-from navfilter.io.series import read_series
 from navfilter.io.table import TableOptions, Where
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.io.trust import Allowance, Place
 from navfilter.models.mission import Mission, MissionError, Stream
 

@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 import navfilter as nf
 from navfilter.kernels import consistency, kalman
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import lawnmower, survey_vehicle, transit
-from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.simulate import Faults, StartErrors, simulate
 
 DEG = math.pi / 180.0
 

@@ -15,8 +15,7 @@ from test_alternatives import since
 from test_fault_bank import SHIFT_S, long_dive
 
 import navfilter as nf
-from navfilter.evaluation.diagnostics import doubts
-from navfilter.evaluation.fix_reacquisition import evidence
+from navfilter.evaluation.diagnostics import doubts, evidence
 from navfilter.faults.velocity_evidence import ALL, VelocityEvidence, _jump, _of_unit, _regression
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels import batch

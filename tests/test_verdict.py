@@ -9,8 +9,7 @@ import pytest
 
 from navfilter.commands.cli import main
 from navfilter.evaluation.assessment import assess, judge
-from navfilter.evaluation.diagnostics import LIMITS
-from navfilter.evaluation.fix_reacquisition import Surfacing, evidence
+from navfilter.evaluation.diagnostics import LIMITS, Surfacing, evidence
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.io.write import labelled
 from navfilter.models.error_models import White

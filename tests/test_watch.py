@@ -11,7 +11,7 @@ import navfilter as nf
 from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.models.health import CALM
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track.trust import spells
+from navfilter.track.track import spells
 
 FAULT_S, END_S = 20.0, 40.0
 

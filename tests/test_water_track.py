@@ -13,11 +13,10 @@ from scipy.stats import chi2
 
 import navfilter as nf
 from navfilter.evaluation.baselines import learnable
-from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.simulation.simulate import simulate
+from navfilter.simulation.simulate import Faults, simulate
 
 SEEDS = (1, 2, 3)
 LOST_S, FOUND_S = 600.0, 1200.0  # the bottom, in the scenario of 1800 s

@@ -9,13 +9,13 @@ import pytest
 from small_run import small_run
 
 from navfilter.commands.cli import main
-from navfilter.evaluation.learned_text import Scale, error_words, in_force, learnt, model_words
+from navfilter.evaluation.over_dives_text import Scale, error_words, in_force, learnt, model_words
 from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.models.interpretation import stationary_parts
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.playback.replay import replay
 from navfilter.rendering.panels import legend_of
-from navfilter.report.learnt_figures import SpectrumBand, spectrum_figure
+from navfilter.report.figures import SpectrumBand, spectrum_figure
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.timeseries.model import ArmaModel
 from navfilter.timeseries.polynomials import add_arma

@@ -19,7 +19,7 @@ from navfilter.filter import filter as filter_module
 from navfilter.learning.background import Task, Worker
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigation import early_rerun
-from navfilter.simulation.campaigns import stage
+from navfilter.simulation.scenarios import stage
 
 EARLY_S = (16.0, 25.0, 30.0)
 #: Answers of the first hop are taken at 18 s, and the beginning is done again at 18.32 s.

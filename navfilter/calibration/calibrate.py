@@ -22,8 +22,7 @@ from navfilter.models.error_models import White
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors import Position
 from navfilter.models.vehicle import Vehicle
-from navfilter.playback.held_out import Withheld, score
-from navfilter.playback.replay import replay
+from navfilter.playback.replay import Withheld, replay, score
 from navfilter.track.track import Track
 
 Interval = tuple[float, float]

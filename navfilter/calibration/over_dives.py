@@ -15,9 +15,8 @@ from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown
 from navfilter.io import read_mission
 from navfilter.models.error_models import ErrorModel, per_axis
-from navfilter.models.learned_arma import as_described, learned_part
+from navfilter.models.learned_arma import as_described, learned_part, parts_of, scaled
 from navfilter.models.mission import Mission
-from navfilter.models.scaled_errors import parts_of, scaled
 from navfilter.models.vehicle import Vehicle
 from navfilter.playback.replay import replay
 from navfilter.track.track import Track

@@ -6,8 +6,8 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
+from navfilter.check.course import north_findings
 from navfilter.check.finding import Finding, Severity, by_severity
-from navfilter.check.magnetic_north import north_findings
 from navfilter.check.motion import compared_findings, motion_findings
 from navfilter.check.streams import stream_findings
 from navfilter.check.time_units import clock_findings

@@ -14,10 +14,9 @@ import numpy as np
 
 from navfilter.check import shared_motion
 from navfilter.check.clock_offsets import far_finding, late_by
-from navfilter.check.course import SURE, course_findings, mirrored_finding, mounting_of
+from navfilter.check.course import SURE, course_findings, mirrored_finding, mounting_of, place_of
 from navfilter.check.course_fit import EARTH_RADIUS_M, POLAR, WINDOW_S, without_gaps
 from navfilter.check.finding import Finding
-from navfilter.check.magnetic_north import place_of
 from navfilter.check.series import (
     MOST_WINDOWS,
     correlation,

@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(options: argparse.Namespace) -> Any:
-    from navfilter.io.series import read_series
+    from navfilter.io.inertial import read_series
     from navfilter.io.units import unit
 
     series = read_series(
@@ -221,7 +221,7 @@ def run_sheet(options: argparse.Namespace, folder: Path | None, say: Callable[[s
         console.complain(f"navfilter: {error}")
         return FOUND
     if folder is not None:
-        from navfilter.identification.noise_sheet_page import write_sheet
+        from navfilter.identification.report import write_sheet
 
         say("drawing")
         write_sheet(sheet, record, folder)

@@ -7,7 +7,7 @@ from navfilter.commands.console import speaker, unpacked_bytes
 
 OK = 0
 
-#: The kinds of `navfilter.io.logs.draft_vehicle.LIKE`, stated here so that --help answers at once.
+#: The kinds of `navfilter.io.logs.draft.LIKE`, stated here so that --help answers at once.
 
 
 def run(options: argparse.Namespace) -> int:

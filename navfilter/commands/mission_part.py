@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from navfilter.models.mission import Mission
     from navfilter.models.vehicle import Vehicle
-    from navfilter.playback.held_out import Withheld
+    from navfilter.playback.replay import Withheld
 
 _TIME = r"\+?\d+(?:\.\d*)?(?:e\d+)?"
 
@@ -57,7 +57,7 @@ def select(options: argparse.Namespace, mission: Mission, vehicle: Vehicle) -> t
     ValueError
         For a part of the mission that holds nothing, a start that cannot be, or readings that are not there.
     """
-    from navfilter.playback.held_out import withhold
+    from navfilter.playback.replay import withhold
 
     whole = mission
     if options.begin is not None or options.end is not None:

@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
       navfilter montecarlo --scenario compass-gm2 --motion transit --gyro mems --runs 50 --models gm1-fitted,arma,oracle
       navfilter montecarlo --scenario dvl-coloured --runs 1000 --dask tcp://10.0.0.1:8786
     """
-    from navfilter.simulation.campaigns import STUDIES
+    from navfilter.simulation.scenarios import STUDIES
 
     if options.list:
         width = max(map(len, STUDIES))
@@ -80,8 +80,7 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
 
 
 def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
-    from navfilter.evaluation.montecarlo.campaign import run_campaign
-    from navfilter.evaluation.montecarlo.store import Store
+    from navfilter.evaluation.montecarlo.campaign import Store, run_campaign
     from navfilter.evaluation.montecarlo.workers import cluster, process_pool
     from navfilter.playback.warm_up import available_cores
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from navfilter.evaluation.assessment import Assessment
     from navfilter.evaluation.control_points import ControlPoint
     from navfilter.models.mission import Mission
-    from navfilter.playback.held_out import Withheld
+    from navfilter.playback.replay import Withheld
     from navfilter.track.track import Track
 
 

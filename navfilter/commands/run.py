@@ -105,7 +105,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     from navfilter.service.loop import Service, replay_log
     from navfilter.service.loop import run as run_loop
     from navfilter.service.session import Options
-    from navfilter.service.waterlinked import waterlinked
+    from navfilter.service.sources import waterlinked
 
     _check(options)
     vehicle = read_vehicle(options.vehicle or options.replay_log)

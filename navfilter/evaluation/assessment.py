@@ -15,16 +15,15 @@ from scipy.special import ndtri
 from navfilter.calibration.lights import Light
 from navfilter.check import data_findings
 from navfilter.check.finding import Finding, by_severity
-from navfilter.evaluation.calibration_states import constant_lights
 from navfilter.evaluation.control_points import Control, ControlPoint, control_residuals
-from navfilter.evaluation.diagnostics import LIMITS, Limits, doubts
-from navfilter.evaluation.fix_reacquisition import Evidence, evidence
-from navfilter.evaluation.learned_text import LearnedText, learnt
+from navfilter.evaluation.correlations import constant_lights
+from navfilter.evaluation.diagnostics import LIMITS, Evidence, Limits, doubts, evidence
+from navfilter.evaluation.over_dives_text import LearnedText, learnt
 from navfilter.foundation.arrays import Array
 from navfilter.io.mission_toml import STANDS_IN
 from navfilter.models.mission import Mission
 from navfilter.playback.backward import Apart, apart
-from navfilter.playback.held_out import Drift, Score, Withheld, drift, score
+from navfilter.playback.replay import Drift, Score, Withheld, drift, score
 from navfilter.track.heave import heave
 from navfilter.track.track import Track, Tracks
 
@@ -289,7 +288,7 @@ def assess(
     mission : Mission
         As it was replayed.
     withheld : sequence of Withheld
-        Readings that the filter did not get, see `navfilter.playback.held_out.withhold`.
+        Readings that the filter did not get, see `navfilter.playback.replay.withhold`.
     limits : sequence of (str, float, str)
         Of the sds of constants, see `navfilter.calibration.lights.limit_of`.
     control : sequence of ControlPoint

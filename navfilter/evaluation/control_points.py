@@ -11,7 +11,7 @@ import numpy as np
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.foundation.quoting import one_line
 from navfilter.io.table import TableOptions
-from navfilter.io.tables import read_table
+from navfilter.io.text_tables import read_table
 from navfilter.io.trust import Place
 from navfilter.models.mission import MissionError
 from navfilter.track.track import Track

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from navfilter.faults import settings
 from navfilter.faults.protection_level import IN_PLANE
 from navfilter.faults.sensor_bias import RejectionRun
-from navfilter.filter.channel_model import MOST_SDS
-from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.sensor_channel import MOST_SDS, Channel
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.heading_fault import TrackRotationFit
-from navfilter.filter.channel_model import changes
-from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.sensor_channel import Channel, changes
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from navfilter.foundation.arrays import Array
-from navfilter.io.series import Series
+from navfilter.io.inertial import Series
 
 MAX_SAMPLES = 50_000
 LEAST_SAMPLES = 50

@@ -14,11 +14,18 @@ from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.display import Value
 from navfilter.identification.conditioning import Conditioned, bridged, condition, gap_free
 from navfilter.io import units
-from navfilter.io.series import Series
+from navfilter.io.inertial import Series
 from navfilter.models.interpretation import Reading, read_model
 from navfilter.timeseries.diagnostics import Whiteness, allan_deviation, whiteness
-from navfilter.timeseries.fit import ArmaFit, OrderTable, cancels, fit_arma, select_order
-from navfilter.timeseries.gauss_markov import GaussMarkovFit, fit_gauss_markov
+from navfilter.timeseries.fit import (
+    ArmaFit,
+    GaussMarkovFit,
+    OrderTable,
+    cancels,
+    fit_arma,
+    fit_gauss_markov,
+    select_order,
+)
 from navfilter.timeseries.model import ArmaModel
 
 Say = Callable[[str], Any]

@@ -14,7 +14,7 @@ from navfilter.foundation import utc
 from navfilter.foundation.arrays import AnyArray, Array, Ints, Mask
 from navfilter.identification.conditioning import Conditioned, condition
 from navfilter.identification.report import write_page
-from navfilter.io.series import Series
+from navfilter.io.inertial import Series
 from navfilter.io.write import write_json
 from navfilter.models.interpretation import number, read_model
 from navfilter.rendering.drawing import COLOURS, DASHES, draw, style

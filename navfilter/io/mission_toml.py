@@ -36,7 +36,7 @@ from navfilter.io.mission_schema import (
 )
 from navfilter.io.stamps import runs_of, shown, strays
 from navfilter.io.stream_joining import block_mean, block_sd, mean, resampled
-from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.text_tables import Table, TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place, expand
 from navfilter.io.validation import read_toml, validate
 from navfilter.models.during import During

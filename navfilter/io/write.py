@@ -21,8 +21,7 @@ from navfilter.models.fault_bias import unfaulted
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import DEAD_RECKONING, Vehicle
-from navfilter.track.track import Track, Tracks
-from navfilter.track.trust import integrity_figures
+from navfilter.track.track import Track, Tracks, integrity_figures
 
 #: Version of the layout of summary.json: it rises where a key changes its meaning or goes, not where one is new.
 SCHEMA = 1

@@ -12,7 +12,7 @@ from navfilter.filter.input_buffer import PIECE, InputBuffer
 from navfilter.foundation.arrays import AnyArray, Array, ArrayLike
 from navfilter.kernels import batch, open_loop_residual, strapdown
 from navfilter.learning.schedule import UNHEARD
-from navfilter.navigation.run import Run
+from navfilter.navigation.runner import Run
 
 _FLOAT, _made = np.dtype(np.float64), tuple.__new__  # a named tuple's own way takes twice as long
 _NO_ROWS = np.zeros((1, 1))

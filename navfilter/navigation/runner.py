@@ -1,8 +1,11 @@
-"""Many samples and readings in stretches: one call of a kernel takes them until something is Python's."""
+"""Many samples and readings in stretches: one call of a kernel takes them until something is Python's.
+
+What the parts of a navigator see of it: the runner, and the early re-run.
+"""
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -10,16 +13,91 @@ from navfilter.faults import noise_scale, sensor_bias
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.sensor_monitor import SensorMonitor
-from navfilter.filter.events import Measurement
+from navfilter.filter.events import Event, Measurement, Outcome
+from navfilter.filter.filter import Filter
 from navfilter.filter.input_buffer import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, InputBuffer
 from navfilter.filter.records import Tape
 from navfilter.filter.sensor_channel import Channel, usable
-from navfilter.foundation.arrays import Array, Ints, Mask
+from navfilter.foundation.arrays import Array, ArrayLike, Ints, Mask
 from navfilter.foundation.mapped_arrays import give_back
 from navfilter.kernels import batch as kernels
 from navfilter.kernels import open_loop_residual, strapdown
+from navfilter.learning.schedule import LearningSchedule
+from navfilter.models.start import Start
+from navfilter.models.vehicle import Vehicle
+from navfilter.navigation.alternative import Alternative
+from navfilter.navigation.history import History
 from navfilter.navigation.recorded_inputs import MeasurementSequence
-from navfilter.navigation.run import Run
+from navfilter.navigation.waiting import MeasurementQueue
+
+
+class Run(Protocol):
+    """A run over a vehicle's inputs: a `Navigator`.
+
+    Attributes
+    ----------
+    filter : Filter
+    learning : LearningSchedule
+    history : History or None
+        None: nothing may come late.
+    clock : ImuClockMonitor
+    sensor_monitors : dict of str to SensorMonitor
+    queue : MeasurementQueue
+    early_rerun
+        What runs the first minutes again (`navfilter.navigation.early_rerun`).
+    fast_paths
+        By sensor, what takes its ordinary readings live.
+    alternative : Alternative
+        The second filter beside it while its unit is in doubt.
+    change_count : int
+        Counts all that changes otherwise than by ordinary inputs.
+    """
+
+    vehicle: Vehicle
+    start: Start
+    filter: Filter
+    learning: LearningSchedule
+    history: History | None
+    clock: ImuClockMonitor
+    sensor_monitors: dict[str, SensorMonitor]
+    queue: MeasurementQueue
+    early_rerun: Any
+    alternative: Alternative
+    change_count: int
+
+    @property
+    def fast_paths(self) -> Mapping[str, Any]:
+        """By sensor."""
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+
+    @property
+    def offset_s(self) -> float:
+        """By how much stamps are moved since the clock was set [s]."""
+
+    def step_samples(self, samples: Array) -> None:
+        """Take samples of the drive: rows of time and six values."""
+
+    def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
+        """Take a measurement that has arrived."""
+
+    def correct_now(self, reading: Measurement) -> Outcome:
+        """Take a measurement now."""
+
+    def repeat_input(self, item: Array | Measurement) -> None:
+        """Take an input as another run has."""
+
+    def process(self, item: Array | Measurement) -> Outcome | None:
+        """Give samples or a measurement, in order, to filter and learning."""
+
+    def finish(self) -> None:
+        """Take the measurements that still wait: no more samples come."""
+
+    def on_event(self, event: Event) -> None:
+        """Show learning what the filter does."""
+
 
 Output = tuple[Array, Array, Array, Ints, Array]
 Hearing = tuple[Array, Array, Ints, Array]

@@ -13,9 +13,8 @@ from navfilter.faults.bias_plausibility import beside
 from navfilter.faults.clocks.imu_clock import ImuClockMonitor
 from navfilter.faults.heading_fault import led_astray, told_by_fixes
 from navfilter.faults.sensor_monitor import SensorMonitor
-from navfilter.filter.channel_model import MOST_SDS
 from navfilter.filter.filter import Filter
-from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.sensor_channel import MOST_SDS, Channel
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.display import Shown
 from navfilter.models.during import same_sensor

@@ -7,8 +7,8 @@ import numpy as np
 
 from navfilter.io.vehicle_toml import changed
 from navfilter.models.during import During, alias
+from navfilter.models.learned_arma import larger
 from navfilter.models.mission import Mission
-from navfilter.models.scaled_errors import larger
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 

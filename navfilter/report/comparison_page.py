@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from navfilter.evaluation.comparison import LAGS, Comparison, innovation_series
-from navfilter.evaluation.learned_text import in_force, learnt
+from navfilter.evaluation.over_dives_text import in_force, learnt
 from navfilter.foundation.arrays import Array
 from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.clock import clock_of
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.page import Section, escape, page, table_html
 from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Part, Stack
-from navfilter.report import figures, learnt_figures
+from navfilter.report import figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import Plan, plan_view
 from navfilter.timeseries.diagnostics import acf
@@ -116,7 +116,7 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Stack]]:
                 f"{label}, {history.title}: {len(history.models)} models adopted, the last one of order ({last.p}, "
                 f"{last.q}){radius}. A pole radius of 1 would be a random walk."
             )
-            yield title, caption, learnt_figures.adopted_figure(history, float(track.time_s[-1]))
+            yield title, caption, figures.adopted_figure(history, float(track.time_s[-1]))
             title = ""
 
 

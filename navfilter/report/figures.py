@@ -3,24 +3,33 @@ by side.
 
 Bounds, trust and lanes along a run: how far the truth may be, when and why the state is not to be trusted, and which
 lane was in force.
+
+Figures of the states behind the nine of navigation: biases, coloured errors, calibration parameters; and of what
+drives, which has no innovations.
+
+Figures of what was learnt: the spectrum beside the one that was believed, and the models over time.
 """
 
-from collections.abc import Sequence
-from typing import Any
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from navfilter.evaluation.over_dives_text import LearnedText
 from navfilter.filter.records import OUTCOMES
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_range
+from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
+from navfilter.models.vehicle import Vehicle
 from navfilter.playback.backward import Apart
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Part, Points, Stack, short
 from navfilter.rendering.thinning import broken
-from navfilter.track.track import Track, Tracks
-from navfilter.track.trust import DegradedInterval, spells
+from navfilter.track.track import DegradedInterval, Track, Tracks, spells
 
 #: Told apart in grey by their brightness.
 HUES = {"degraded": "#e69f00", "lost": "#8b1a1a"}
@@ -439,3 +448,231 @@ def capped(points: Array, most: int = 1500) -> Array:
 def _quantile(values: Array, p: float) -> float:
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, p)) if finite.size else 0.0
+
+
+#: Of residuals of the drive, under their figure.
+STEPS = (
+    "{name}: residuals of what drives (smoothed run): the step that it would have had to say too much at each time for "
+    "all later readings to fit best, in standard deviations of that step. Of honest ones 95 % lie within 2; a hill is "
+    "an error that lasted. The largest: {largest}."
+)
+
+
+@dataclass(frozen=True)
+class ShownState:
+    """One state worth a panel.
+
+    Attributes
+    ----------
+    owner : str
+        Sensor, or "gyro", "accel", "drive".
+    name : str
+        As in `Track.state_names`.
+    label, unit : str
+        For the axis.
+    factor : float
+        From SI to the unit.
+    """
+
+    owner: str
+    name: str
+    label: str
+    unit: str
+    factor: float
+
+
+def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
+    """The states that mean something by themselves: the first of every part of an error model, and all parameters."""
+    found: list[ShownState] = []
+    drive = vehicle.drive
+    for axis, model, unit in zip(drive.axis_names, drive.models, drive.units, strict=True):
+        owner = axis.rsplit("_", 1)[0] if drive.inertial else "drive"
+        found += _parts(owner, axis, model, drive.period_s, unit)
+    found += [ShownState("drive", p.name, p.name, *shown_unit(p.unit)) for p in drive.all_parameters()]
+    for key, sensor in vehicle.sensors.items():
+        for axis, model, unit in zip(sensor.axis_names, sensor.models, sensor.units, strict=True):
+            label = "_".join(part for part in (key, axis) if part)
+            found += _parts(key, label, model, 1.0 / sensor.rate_hz, unit)
+        found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.all_parameters()]
+    return tuple(found)
+
+
+def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str) -> list[ShownState]:
+    """The first state of each part of one axis's model."""
+    sizes = [part.block(period_s).size for part in model.terms]
+    found, offset = [], 0
+    for part, size in zip(model.terms, sizes, strict=True):
+        if size:
+            kind = f" ({type(part).__name__})" if sum(map(bool, sizes)) > 1 else ""
+            found.append(ShownState(owner, f"{axis}[{offset}]", f"{axis}{kind}", *shown_unit(unit)))
+        offset += size
+    return found
+
+
+def states_figure(tracks: Tracks, states: tuple[ShownState, ...]) -> Stack:
+    """Estimates over time with their 1-sigma bands, one panel per state.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+    states : tuple of ShownState
+        Of one owner, see `shown_states`; a run that has no such state is left out of its panel.
+    """
+    panels = []
+    for state in states:
+        parts: list[Part] = []
+        for number, (label, track) in enumerate(tracks.items()):
+            if state.name not in track.state_names:
+                continue
+            hue, dash = colour(number)
+            value, sd = (state.factor * part for part in track.state(state.name))
+            parts.append(Band(track.time_s, value - sd, value + sd, f"{label} ±1σ", hue))
+            parts.append(Line(track.time_s, value, label, hue, dash))
+        lines = textwrap.wrap(short(state.label, 48).replace("_", " ").replace(".", " "), 16)
+        panels.append(Panel("\n".join([*lines, f"[{state.unit}]"]), tuple(parts), lines_at=(0.0,)))
+    return Stack(tuple(panels), 1.2)
+
+
+def drive_residuals(track: Track) -> dict[str, list[tuple[str, Array, Array, str]]]:
+    """Residuals of what drives, by its parts as `shown_states` calls them: axis, step and its sd, unit; nothing of a
+    track that is not smoothed.
+    """
+    if track.drive_steps is None:
+        return {}
+    parts = (("accel", "m/s", 1.0), ("gyro", "deg", 180.0 / np.pi))
+    found: dict[str, list[tuple[str, Array, Array, str]]] = {}
+    for column in range(track.drive_steps.shape[2]):
+        owner, unit, factor = parts[column // 3] if track.vehicle.drive.inertial else ("drive", "m", 1.0)
+        step, sd = factor * track.drive_steps[:, :, column].T
+        found.setdefault(owner, []).append(("xyz"[column % 3], step, sd, unit))
+    return {owner: axes for owner, axes in found.items() if any(np.isfinite(step).any() for _, step, _, _ in axes)}
+
+
+def steps_figure(track: Track, owner: str) -> tuple[Stack, str]:
+    """Residuals of a part of what drives, in standard deviations, and their caption."""
+    panels, largest = [], []
+    for axis, step, sd, unit in drive_residuals(track)[owner]:
+        value, (hue, dash) = step / sd, colour(0)
+        level = Level(-2.0, 2.0, "95 %")
+        line = Line(track.time_s, value, "residual", hue, dash)
+        panels.append(Panel(f"{owner} {axis}\n[sd]", (line,), None, "symmetric", level=level))
+        if np.isfinite(value).any():
+            at = int(np.nanargmax(np.abs(value)))
+            largest.append(
+                (abs(value[at]), f"{axis} {value[at]:.1f} at {track.time_s[at]:.0f} s, {step[at]:.2g} {unit}")
+            )
+    return Stack(tuple(panels), 1.2), STEPS.format(name=owner, largest=max(largest)[1])
+
+
+#: Frequencies of a spectrum that nobody has learnt, from one period in so many samples up.
+FREQUENCIES, LONGEST = 400, 20000
+
+
+class SpectrumBand(NamedTuple):
+    """What is known of a spectrum: frequencies [Hz], and its density, low, median and high, in the unit that is shown,
+    shape (n,) each.
+    """
+
+    freq_hz: Array
+    low: Array
+    median: Array
+    high: Array
+
+
+def learnt_figures(found: tuple[LearnedText, ...], end_s: float) -> Iterator[tuple[str, Stack]]:
+    """Caption and figure, spectrum and history of every axis, one after the other.
+
+    Parameters
+    ----------
+    found : tuple of LearnedText
+    end_s : float
+        Until when the last models are in force [s].
+    """
+    for history in found:
+        caption = (
+            "Spectrum at the end, with the range from 5 to 95 % that its posterior leaves, and that of vehicle.toml."
+        )
+        yield f"{history}. {caption}", spectrum_figure(history)
+        last = history.models[-1]
+        text = f"{history.title}: {len(history.models)} models, the last one of order ({last.p}, {last.q})."
+        yield f"{text} A pole radius of 1 would be a random walk.", adopted_figure(history, end_s)
+
+
+def learnt_band(history: LearnedText) -> SpectrumBand:
+    """The learnt spectrum with the range from 5 to 95 % that its posterior leaves; empty for a model from a file."""
+    freq_hz, low, median, high = history.spectrum
+    if not freq_hz.size:
+        freq_hz = np.geomspace(history.scale.rate_hz / LONGEST, 0.5 * history.scale.rate_hz, FREQUENCIES)
+        low = median = high = np.full(freq_hz.size, np.nan)
+    return SpectrumBand(freq_hz, low, median, high)
+
+
+def spectrum_figure(history: LearnedText, band: SpectrumBand | None = None) -> Stack:
+    """Density of the learnt error with its range, and of what was believed, over frequency.
+
+    Parameters
+    ----------
+    history : LearnedText
+    band : SpectrumBand, optional
+        Default `learnt_band`.
+    """
+    band = learnt_band(history) if band is None else band
+    believed = history.believed_spectrum(band.freq_hz)
+    (prior, _), (learnt, dash) = colour(0), colour(1)
+    parts: tuple[Part, ...] = (Line(band.freq_hz, believed, "believed", prior),)
+    if np.isfinite(band.median).any():
+        parts = (
+            Band(band.freq_hz, band.low, band.high, "5 to 95 %", learnt),
+            *parts,
+            Line(band.freq_hz, band.median, "learnt", learnt, dash),
+        )
+    curves = np.concatenate([believed[believed > 0.0], band.median[band.median > 0.0]])
+    limits = (0.3 * float(curves.min()), 3.0 * float(curves.max())) if curves.size else (0.1, 10.0)
+    label = f"{short(history.title)}\n[({history.scale.unit})²/Hz]"
+    return Stack((Panel(label, parts, limits, log=True),), 2.2, x_label="frequency [Hz]", log_x=True)
+
+
+def adopted_figure(history: LearnedText, end_s: float) -> Stack:
+    """Coefficients, radii of the poles and innovation sd of the adopted models over time.
+
+    Parameters
+    ----------
+    history : LearnedText
+    end_s : float
+        Until when the last model is in force.
+    """
+    t = np.array([*history.time_s, max(end_s, history.time_s[-1])])
+    models = history.models
+    panels = []
+    for kind, name in (("ar", "autoregressive"), ("ma", "moving average")):
+        count = max(len(getattr(m, kind)) for m in models)
+        series = [_steps(t, [_at(getattr(m, kind), k) for m in models], k, f"{kind}[{k}]") for k in range(count)]
+        if count:
+            panels.append(Panel(f"{name}\ncoefficients", tuple(part for pair in series for part in pair)))
+    order = max(m.p for m in models)
+    radii = [[_nines(_at(np.abs(m.poles), k)) for m in models] for k in range(order)]
+    if order:
+        names = ["largest", *(f"{k + 1}." for k in range(1, order))]
+        steps = [_steps(t, values, k, names[k]) for k, values in enumerate(radii)]
+        top = max(2.0, float(np.ceil(np.nanmax(radii))))
+        ticks = tuple((tick, f"{1.0 - 10.0**-tick:.{int(tick)}f}") for tick in np.arange(top + 1.0))
+        parts = tuple(part for pair in steps for part in pair)
+        panels.append(Panel("pole radius", parts, (0.0, top), ticks=ticks))
+    sds = _steps(t, [history.scale.factor * m.sd for m in models], 0, "innovation sd")
+    panels.append(Panel(f"sd [{history.scale.unit}]", sds, shape="from zero"))
+    return Stack(tuple(panels), 1.25)
+
+
+def _nines(radius: float) -> float:
+    """Radius of a pole on a scale that counts its nines: what happens near 1 is what matters."""
+    return -float(np.log10(max(1.0 - radius, 1e-6)))
+
+
+def _at(values: Array, k: int) -> float:
+    return float(values[k]) if k < len(values) else np.nan
+
+
+def _steps(t: Array, values: list[float], number: int, label: str) -> tuple[Part, ...]:
+    hue, dash = colour(number)
+    held = np.array([*values, values[-1]])
+    return Line(t, held, label, hue, dash, steps=True), Points(t[:-1], held[:-1], label, hue, "o")

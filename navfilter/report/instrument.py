@@ -33,10 +33,9 @@ from navfilter.rendering.clock import Clock
 from navfilter.rendering.drawing import colour, draw, style, svg
 from navfilter.rendering.page import Scripts, Section, escape, figure_html, resource
 from navfilter.rendering.panels import Line, Panel, Stack, short
-from navfilter.report.figures import TRUTH
+from navfilter.report.figures import TRUTH, drive_residuals, shown_states
 from navfilter.report.live import Key, Live, item_of, live_stack, plain, plain_look, toolbox
 from navfilter.report.plan_view import CHART_ALPHA, Plan, PlanRun, draw_plan
-from navfilter.report.state_figures import drive_residuals, shown_states
 from navfilter.track.track import Track
 
 #: By what the track may be coloured: name of the glyphs, and what the page calls it.

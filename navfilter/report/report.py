@@ -13,8 +13,8 @@ from navfilter.calibration.lights import Light
 from navfilter.evaluation.assessment import Assessment, Verdict, assess
 from navfilter.evaluation.comparison import number_text
 from navfilter.evaluation.control_points import Control
-from navfilter.evaluation.fix_reacquisition import OUTAGE_S, OUTAGE_STEPS, Evidence, Surfacing
-from navfilter.evaluation.learned_text import LearnedText, Scale, error_words, in_force
+from navfilter.evaluation.diagnostics import OUTAGE_S, OUTAGE_STEPS, Evidence, Surfacing
+from navfilter.evaluation.over_dives_text import LearnedText, Scale, error_words, in_force
 from navfilter.filter.records import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.models.during import same_sensor
@@ -23,7 +23,7 @@ from navfilter.models.sensors.traits import shown_unit
 from navfilter.rendering.clock import clock_of
 from navfilter.rendering.page import Section, escape, list_html, page, table_html
 from navfilter.rendering.panels import Mark, Stack, short
-from navfilter.report import figures, learnt_figures, state_figures
+from navfilter.report import figures
 from navfilter.report.constant_table import ABOUT, lights_html
 from navfilter.report.figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
 from navfilter.report.instrument import Instrument
@@ -285,8 +285,8 @@ def sensor_sections(tracks: Tracks, learnt: tuple[LearnedText, ...], instrument:
     states = _states(tracks)
     runs = figures.filters(tracks)
     judged = {n: None for t in runs.values() for n, r in t.residuals.items() if r.used.any() and n in t.vehicle.sensors}
-    driven = next((track for track in reversed(list(tracks.values())) if state_figures.drive_residuals(track)), None)
-    steps = {} if driven is None else state_figures.drive_residuals(driven)
+    driven = next((track for track in reversed(list(tracks.values())) if figures.drive_residuals(track)), None)
+    steps = {} if driven is None else figures.drive_residuals(driven)
     owners = list(judged | dict.fromkeys(states) | dict.fromkeys(steps))
     by_owner = {name: tuple(found for found in learnt if _owner(found.title, owners) == name) for name in owners}
     if owners:
@@ -295,13 +295,13 @@ def sensor_sections(tracks: Tracks, learnt: tuple[LearnedText, ...], instrument:
     for name in owners:
         parts = [*_innovations(runs, name, by_owner[name], instrument)]
         if driven is not None and name in steps:
-            parts.append(instrument.figure(*state_figures.steps_figure(driven, name)))
+            parts.append(instrument.figure(*figures.steps_figure(driven, name)))
         end_s = max(float(track.time_s[-1]) for track in tracks.values())
-        for caption, stack in learnt_figures.learnt_figures(by_owner[name], end_s):
+        for caption, stack in figures.learnt_figures(by_owner[name], end_s):
             parts.append(instrument.figure(stack, caption))
         shown = states.get(name, ())
         for first in range(0, len(shown), _PANELS):
-            stack = state_figures.states_figure(tracks, shown[first : first + _PANELS])
+            stack = figures.states_figure(tracks, shown[first : first + _PANELS])
             marked = _marked(stack, next(iter(runs.values())), name, by_owner[name])
             parts.append(instrument.figure(marked, f"{name}: estimated error, with its 1-sigma band."))
         yield Section(name, tuple(parts), sensor=name)
@@ -327,11 +327,11 @@ def _marked(stack: Stack, track: Track, name: str, learnt: tuple[LearnedText, ..
     return replace(stack, marks=tuple(found))
 
 
-def _states(tracks: Tracks) -> dict[str, tuple[state_figures.ShownState, ...]]:
+def _states(tracks: Tracks) -> dict[str, tuple[figures.ShownState, ...]]:
     """The states worth showing, by owner."""
-    by_owner: dict[str, dict[str, state_figures.ShownState]] = {}
+    by_owner: dict[str, dict[str, figures.ShownState]] = {}
     for track in tracks.values():
-        for state in state_figures.shown_states(track.vehicle):
+        for state in figures.shown_states(track.vehicle):
             # A state that nothing excites, such as a temperature term without temperatures, has nothing to show.
             if state.name in track.state_names and track.state(state.name)[1].any():
                 by_owner.setdefault(state.owner, {})[state.name] = state

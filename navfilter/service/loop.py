@@ -19,9 +19,17 @@ from navfilter.service.log import LOG_FILE, log_items, logged_options, prepare_l
 from navfilter.service.output import Outlet
 from navfilter.service.protocol import Lines, event_line
 from navfilter.service.session import Options, Session
-from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
+from navfilter.service.sources import (
+    Client,
+    FileSource,
+    Instrument,
+    NoSource,
+    Stopped,
+    StopSignal,
+    TcpSource,
+    WaterLinked,
+)
 from navfilter.service.supervision import Supervision
-from navfilter.service.waterlinked import Instrument, WaterLinked
 
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1

@@ -5,11 +5,11 @@ from navfilter.timeseries.diagnostics import allan_deviation as allan_deviation
 from navfilter.timeseries.diagnostics import allan_edf as allan_edf
 from navfilter.timeseries.diagnostics import cross_correlation as cross_correlation
 from navfilter.timeseries.fit import ArmaFit as ArmaFit
+from navfilter.timeseries.fit import GaussMarkovFit as GaussMarkovFit
 from navfilter.timeseries.fit import OrderTable as OrderTable
-from navfilter.timeseries.gauss_markov import GaussMarkovFit as GaussMarkovFit
-from navfilter.timeseries.gauss_markov import correlation_product as correlation_product
-from navfilter.timeseries.gauss_markov import fit_gauss_markov as fit_gauss_markov
-from navfilter.timeseries.gauss_markov import gauss_markov_arma as gauss_markov_arma
+from navfilter.timeseries.fit import correlation_product as correlation_product
+from navfilter.timeseries.fit import fit_gauss_markov as fit_gauss_markov
+from navfilter.timeseries.fit import gauss_markov_arma as gauss_markov_arma
 from navfilter.timeseries.initial_values import burg as burg
 from navfilter.timeseries.initial_values import hannan_rissanen as hannan_rissanen
 from navfilter.timeseries.initial_values import yule_walker as yule_walker
@@ -18,7 +18,7 @@ from navfilter.timeseries.model import forecast_arma as forecast_arma
 from navfilter.timeseries.model import log_s0_sd as log_s0_sd
 from navfilter.timeseries.model import simulate_arma as simulate_arma
 from navfilter.timeseries.online.order_bank import ArmaBank as ArmaBank
-from navfilter.timeseries.online.preprocessing import FrontEnd as FrontEnd
+from navfilter.timeseries.online.order_bank import FrontEnd as FrontEnd
 from navfilter.timeseries.periodic_motion import find_motion_band as find_motion_band
 from navfilter.timeseries.periodic_motion import subtract_motion as subtract_motion
 from navfilter.timeseries.polynomials import BiasPlusWhite as BiasPlusWhite

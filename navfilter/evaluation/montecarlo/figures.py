@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from navfilter.evaluation.montecarlo.campaign import Results
+from navfilter.evaluation.montecarlo.campaign import Results, write_whole
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.chi_square import chi_square_range
 from navfilter.rendering.clock import Clock

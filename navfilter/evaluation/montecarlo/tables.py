@@ -15,10 +15,9 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from navfilter.evaluation.montecarlo.campaign import Results
+from navfilter.evaluation.montecarlo.campaign import Results, write_whole
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
-from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.foundation.arrays import Array, ArrayLike, Ints
 from navfilter.foundation.quoting import json_value
 from navfilter.rendering.page import table_text

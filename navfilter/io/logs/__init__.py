@@ -8,7 +8,7 @@ name without ``[0]``, the module's ``short_name(topic)`` gives it. All else (col
 is done once, for all formats.
 """
 
-from navfilter.io.logs.cache import Shelf
 from navfilter.io.logs.formats import FORMATS, Format, format_of, log_format
+from navfilter.io.logs.survey import Shelf
 
 __all__ = ["FORMATS", "Format", "Shelf", "format_of", "log_format"]

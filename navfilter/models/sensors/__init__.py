@@ -19,5 +19,5 @@ from navfilter.models.sensors.velocity import BodyVelocity as BodyVelocity
 from navfilter.models.sensors.velocity import Course as Course
 from navfilter.models.sensors.velocity import Odometer as Odometer
 from navfilter.models.sensors.velocity import WaterVelocity as WaterVelocity
+from navfilter.models.sensors.velocity import ZeroRate as ZeroRate
 from navfilter.models.sensors.velocity import ZeroVelocity as ZeroVelocity
-from navfilter.models.sensors.zero_rate import ZeroRate as ZeroRate
