@@ -27,8 +27,7 @@ from harness import Options, Table, flag, main, quick
 from honest_bars import JUDGED, Bar, bars
 
 import navfilter as nf
-from navfilter.evaluation.montecarlo.campaign import Campaign, Store, run_campaign
-from navfilter.evaluation.montecarlo.tables import SlotRow, slot_rows
+from navfilter.evaluation.montecarlo.campaign import Campaign, SlotRow, Store, run_campaign, slot_rows
 from navfilter.evaluation.montecarlo.workers import process_pool
 from navfilter.simulation.scenarios import GYROS, MOTIONS, STUDIES
 

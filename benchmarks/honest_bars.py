@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 
-from navfilter.evaluation.montecarlo.campaign import Campaign
+from navfilter.evaluation.montecarlo.campaign import Campaign, SlotRow
 from navfilter.evaluation.montecarlo.slots import SURPRISED_S
-from navfilter.evaluation.montecarlo.tables import SlotRow
 
 #: The model that is judged.
 JUDGED = "arma"
@@ -56,7 +55,7 @@ def bars(campaign: Campaign, found: Iterable[SlotRow]) -> list[Bar]:
     ----------
     campaign : Campaign
     found : iterable of SlotRow
-        See `navfilter.evaluation.montecarlo.tables.slot_rows`.
+        See `navfilter.evaluation.montecarlo.campaign.slot_rows`.
     """
     by = {(r.track, r.begin_s, r.end_s, r.quantity, r.reference): r for r in found if r.model == JUDGED}
     result = []

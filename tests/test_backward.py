@@ -12,8 +12,7 @@ from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors import Usbl
-from navfilter.playback.backward import Apart, apart, backward, mirrored
-from navfilter.playback.replay import replay
+from navfilter.playback.replay import Apart, apart, backward, mirrored, replay
 from navfilter.report.figures import backward_figure
 from navfilter.simulation.scenarios import simulate_scenario
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from navfilter.timeseries.diagnostics import whiteness
-from navfilter.timeseries.model import ArmaModel, simulate_arma
+from navfilter.timeseries.model import ArmaModel, simulate_arma, split_bias
 from navfilter.timeseries.online.order_bank import ArmaBank, moment_gm1
-from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cancelling_pairs, cap_poles, has_unit_root
 
 MODELS = {

@@ -16,10 +16,10 @@ from navfilter.calibration.calibrate import (
     Prediction,
     _Folds,
     calibration_text,
+    estimate,
     stretches_of,
     with_reference,
 )
-from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
@@ -128,7 +128,7 @@ def told_by(monkeypatch, *says):
         information = np.diag(np.full(len(value), sd**-2.0))
         return information, information @ np.full(len(value), x)
 
-    monkeypatch.setattr("navfilter.calibration.estimate.said", said)
+    monkeypatch.setattr("navfilter.calibration.calibrate.said", said)
     return estimate(reckoning(scale_sd=0.02), range(len(says)))
 
 

@@ -14,8 +14,7 @@ from navfilter.learning.arma_fit import fit_channel
 from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.slow_prior import drift_chain
 from navfilter.models.navigation_drift import Drift
-from navfilter.timeseries.model import ArmaModel, simulate_arma
-from navfilter.timeseries.polynomials import add_arma
+from navfilter.timeseries.model import ArmaModel, add_arma, simulate_arma
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125

@@ -24,8 +24,7 @@ from navfilter.models.navigation_drift import Drift
 from navfilter.models.window_limits import LONGEST_GAP
 from navfilter.simulation.scenarios import dive, stage, survey_vehicle
 from navfilter.simulation.simulate import Faults, draw_error, simulate
-from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.polynomials import add_arma
+from navfilter.timeseries.model import ArmaModel, add_arma
 
 RATE_HZ, GRAVITY = 100.0, 9.80665
 PERIOD_S = 1.0 / RATE_HZ

@@ -12,7 +12,7 @@ from navfilter.evaluation.correlations import constants
 from navfilter.filter.state_layout import Layout
 from navfilter.io import write_vehicle
 from navfilter.kernels import strapdown
-from navfilter.models.mechanisation.mechanisation import CROSSED
+from navfilter.models.mechanisation import CROSSED
 from navfilter.models.sensors import Attitude
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, SpiralDive, Straight, Turn
 from navfilter.simulation.motion import Motion, Wander

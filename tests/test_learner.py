@@ -20,8 +20,7 @@ from navfilter.learning.slow_posterior import Line
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.error_models import CORRELATION_CONSTANTS
 from navfilter.models.navigation_drift import Drift
-from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.polynomials import add_arma
+from navfilter.timeseries.model import ArmaModel, add_arma
 
 ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
 

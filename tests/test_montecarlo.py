@@ -22,18 +22,21 @@ from scipy import stats
 from navfilter.commands.cli import main
 from navfilter.evaluation.montecarlo import campaign as campaigns
 from navfilter.evaluation.montecarlo import workers
-from navfilter.evaluation.montecarlo.campaign import Campaign, Store, run_campaign, run_seed
-from navfilter.evaluation.montecarlo.figures import write_figures
-from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.tables import (
+from navfilter.evaluation.montecarlo.campaign import (
+    Campaign,
+    Store,
     mean_interval,
     ratio_interval,
     rms_interval,
     rows,
+    run_campaign,
+    run_seed,
     share_interval,
     table,
     write_tables,
 )
+from navfilter.evaluation.montecarlo.figures import write_figures
+from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.workers import cluster, process_pool
 from navfilter.foundation.chi_square import chi_square_limit, chi_square_range
 

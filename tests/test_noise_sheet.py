@@ -13,16 +13,18 @@ from navfilter.commands.cli import main
 from navfilter.identification.noise_sheet import (
     NotAtRest,
     allan_curve,
+    bands_of,
     drive_terms,
+    fit_terms,
     noise_sheet,
     quantisation,
+    shape,
     sheet_terms,
     spectral_lines,
     upper_limit,
     usable,
 )
 from navfilter.identification.noise_sheet_text import plus_minus, sheet_text
-from navfilter.identification.noise_terms import bands_of, fit_terms, shape
 from navfilter.identification.static_detection import moving_together, stillness
 from navfilter.io.inertial import ImuColumns, ImuRecord, on_a_grid, read_imu
 from navfilter.io.table import TableOptions

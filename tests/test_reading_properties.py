@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import navfilter as nf
 from navfilter.check.streams import stream_findings
-from navfilter.io import dates
+from navfilter.io import columns as dates
 from navfilter.io.columns import since_1970
 from navfilter.io.inertial import _held, _marked, on_a_grid
 from navfilter.io.logs.logger_stamps import LoggerClock
@@ -135,7 +135,7 @@ def test_a_time_of_day_goes_on_over_midnight(begin, step, count, with_date):
     texts = np.array([f"{moment:%H:%M:%S}" for moment in moments], dtype=object)
     assume(any(moment.hour in (0, *range(13, 24)) for moment in moments))  # else it might be a clock of twelve hours
     date = datetime.date(2024, 2, 28) if with_date else None
-    found = dates.seconds(texts, None, date)
+    found = dates.date_seconds(texts, None, date)
     zero = datetime.datetime(1970, 1, 1) if with_date else datetime.datetime(2024, 2, 28)
     assert found.of_day
     np.testing.assert_allclose(found.time_s, [(moment - zero).total_seconds() for moment in moments])
@@ -154,9 +154,9 @@ def test_dates_of_one_order_are_read_in_it_or_refused(order, begin, days):
     moments = [begin.replace(microsecond=0) + datetime.timedelta(days=k) for k in range(days)]
     texts = np.array([moment.strftime(f"{ORDERED[order]} %H:%M:%S") for moment in moments], dtype=object)
     expected = [(moment - datetime.datetime(1970, 1, 1)).total_seconds() for moment in moments]
-    np.testing.assert_allclose(dates.seconds(texts, order, None).time_s, expected)
+    np.testing.assert_allclose(dates.date_seconds(texts, order, None).time_s, expected)
     try:
-        found = dates.seconds(texts, None, None)
+        found = dates.date_seconds(texts, None, None)
     except ValueError as error:
         assert "order = one of" in str(error)
         assert all(moment.day <= 12 for moment in moments) and order != "ymd"

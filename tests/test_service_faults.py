@@ -33,10 +33,9 @@ from navfilter.models.magnetic import believable, declination
 from navfilter.service import kernel_cache
 from navfilter.service.disk import Disk, StateFile
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
-from navfilter.service.loop import Tally, _Run
+from navfilter.service.loop import HealthFile, Notifier, Tally, _Run
 from navfilter.service.output import Outlet
 from navfilter.service.session import Options
-from navfilter.service.supervision import HealthFile, Notifier
 
 
 @pytest.fixture(scope="module")

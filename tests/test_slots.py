@@ -12,9 +12,18 @@ import pytest
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.evaluation.baselines import rivals
-from navfilter.evaluation.montecarlo.campaign import Campaign, Results, run_campaign, run_seed
+from navfilter.evaluation.montecarlo.campaign import (
+    Campaign,
+    Results,
+    SlotRow,
+    run_campaign,
+    run_seed,
+    slot_rows,
+    slot_table,
+    table,
+    write_tables,
+)
 from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, slot_figures, slots
-from navfilter.evaluation.montecarlo.tables import SlotRow, slot_rows, slot_table, table, write_tables
 from navfilter.playback.replay import replay_heard, residual_series
 
 SMALL = Campaign("compass-slow-2min", duration_s=150.0, score_from_s=40.0, imu_rate_hz=20.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.timeseries import polynomials
+from navfilter.timeseries import model as polynomials
 
 
 def autocovariance(c):

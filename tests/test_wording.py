@@ -17,8 +17,7 @@ from navfilter.playback.replay import replay
 from navfilter.rendering.panels import legend_of
 from navfilter.report.figures import SpectrumBand, spectrum_figure
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.polynomials import add_arma
+from navfilter.timeseries.model import ArmaModel, add_arma
 
 DEG = Scale("deg", 180.0 / math.pi, 8.0)
 RAD = math.pi / 180.0

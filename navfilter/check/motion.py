@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from navfilter.check import shared_motion
-from navfilter.check.clock_offsets import far_finding, late_by
-from navfilter.check.course import SURE, course_findings, mirrored_finding, mounting_of, place_of
-from navfilter.check.course_fit import EARTH_RADIUS_M, POLAR, WINDOW_S, without_gaps
-from navfilter.check.finding import Finding
-from navfilter.check.series import (
+from navfilter.check.course import SURE, course_findings, far_finding, late_by, mirrored_finding, mounting_of, place_of
+from navfilter.check.course_fit import (
+    EARTH_RADIUS_M,
     MOST_WINDOWS,
+    POLAR,
+    WINDOW_S,
     correlation,
     factors,
     heading_of,
@@ -27,7 +27,9 @@ from navfilter.check.series import (
     unwrapped,
     vector,
     window_edges,
+    without_gaps,
 )
+from navfilter.check.finding import Finding
 from navfilter.foundation.constants import ROUND_GRAVITY
 from navfilter.foundation.display import counted
 from navfilter.models.error_models import stated_variance

@@ -11,19 +11,31 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from navfilter.check.clock_offsets import (
+from navfilter.check.course import (
     DRIFT_S,
     LEAST_S,
     RATE,
+    SURE,
     ClockFit,
     fitted_clock,
+    mounting_of,
     noisy_stretch_finding,
     stretched_finding,
+    through_water,
 )
-from navfilter.check.course import SURE, mounting_of, through_water
-from navfilter.check.course_fit import Complex, without_gaps
+from navfilter.check.course_fit import (
+    Complex,
+    Series,
+    factors,
+    heading_of,
+    integral,
+    jackknife,
+    unwrapped,
+    vector,
+    window_edges,
+    without_gaps,
+)
 from navfilter.check.finding import Finding
-from navfilter.check.series import Series, factors, heading_of, integral, jackknife, unwrapped, vector, window_edges
 from navfilter.models.mission import Array, Mission, Stream
 from navfilter.models.vehicle import Vehicle
 

@@ -97,7 +97,7 @@ def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], fo
             kept = len(list((folder / "runs").rglob("*.npz")))
             console.complain(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.")
             raise
-    from navfilter.evaluation.montecarlo.tables import table, write_tables
+    from navfilter.evaluation.montecarlo.campaign import table, write_tables
 
     names = write_tables(results, folder)
     if options.figures:

@@ -182,7 +182,7 @@ def replay_one(options: argparse.Namespace) -> int:
 
 def _backward(vehicle: Any, mission: Mission, track: Track, options: argparse.Namespace) -> Track:
     """The same mission from its end to its beginning."""
-    from navfilter.playback.backward import backward
+    from navfilter.playback.replay import backward
 
     console.speaker(options.quiet)("replaying it backward ...")
     return backward(vehicle, mission, track, output_rate_hz=options.output_rate)

@@ -148,7 +148,7 @@ def _check_replaced(options: argparse.Namespace, log: Path | None, say: Callable
     from navfilter.io.vehicle_toml import vehicle_file
     from navfilter.service.disk import StateFile
     from navfilter.service.log import LOG_FILE, is_own_file
-    from navfilter.service.supervision import HealthFile
+    from navfilter.service.loop import HealthFile
 
     needed = [vehicle_file(options.vehicle), *filter(None, (options.start, options.input, log))]
     standard = [f"/dev/fd/{number}" for number in range(3)]  # what the shell has made of < and >

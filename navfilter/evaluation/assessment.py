@@ -22,8 +22,7 @@ from navfilter.evaluation.over_dives_text import LearnedText, learnt
 from navfilter.foundation.arrays import Array
 from navfilter.io.mission_toml import STANDS_IN
 from navfilter.models.mission import Mission
-from navfilter.playback.backward import Apart, apart
-from navfilter.playback.replay import Drift, Score, Withheld, drift, score
+from navfilter.playback.replay import Apart, Drift, Score, Withheld, apart, drift, score
 from navfilter.track.heave import heave
 from navfilter.track.track import Track, Tracks
 
@@ -294,7 +293,7 @@ def assess(
     control : sequence of ControlPoint
         Surveyed places.
     back : Track, optional
-        Of `navfilter.playback.backward.backward`.
+        Of `navfilter.playback.replay.backward`.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navfilter.calibration.estimate import said
+from navfilter.calibration.calibrate import said
 from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, kind_of, opened
 from navfilter.check.course import WRONG, part_of, stated_direction
 from navfilter.check.finding import Finding, Severity
@@ -206,7 +206,7 @@ def left_out(run: Track, mission: Mission) -> tuple[LeftOut, ...]:
     Notes
     -----
     With all constants as states of a small standard deviation ``s`` the end of the run gives their information ``J``
-    and the vector ``i = J c`` (`navfilter.calibration.estimate.said`), linear around the run as it was. The evidence
+    and the vector ``i = J c`` (`navfilter.calibration.calibrate.said`), linear around the run as it was. The evidence
     for some of them with the prior ``N(0, S)`` is then ``i' inv(J + inv(S)) i / 2 - log det(1 + S J) / 2``: a score
     test with the price of what is added (Rao, 1948; Kass and Raftery, 1995). Those of the description itself are
     always among them.

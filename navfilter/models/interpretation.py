@@ -12,8 +12,7 @@ import numpy as np
 
 from navfilter.foundation.arrays import Complex
 from navfilter.models.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White, sum_of
-from navfilter.timeseries.model import ArmaModel
-from navfilter.timeseries.polynomials import split_bias
+from navfilter.timeseries.model import ArmaModel, split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
 
 #: A correlation that falls to 1/e within this many samples is the device's own filtering, not drift.

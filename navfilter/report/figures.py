@@ -25,7 +25,7 @@ from navfilter.models.error_models import ErrorModel
 from navfilter.models.mission import Mission, Stream
 from navfilter.models.sensors.traits import shown_unit
 from navfilter.models.vehicle import Vehicle
-from navfilter.playback.backward import Apart
+from navfilter.playback.replay import Apart
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Part, Points, Stack, short
 from navfilter.rendering.thinning import broken

@@ -26,8 +26,7 @@ from scipy.spatial.transform import Rotation
 from navfilter.foundation.arguments import within
 from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.models.error_models import ErrorModel, White, per_axis
-from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation
-from navfilter.models.mechanisation.mechanisation import CROSSED
+from navfilter.models.mechanisation import CROSSED, DeadReckoning, Imu, Mechanisation
 from navfilter.models.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.models.parameters import Calibrated, Parameter, with_calibrated
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor

@@ -26,9 +26,8 @@ from navfilter.kernels import arma_fit as kernels
 from navfilter.timeseries.diagnostics import Whiteness, acf, whiteness
 from navfilter.timeseries.initial_values import default_long_order, hannan_rissanen_start, long_residuals, tidy_series
 from navfilter.timeseries.likelihood import GapFree, Objective, Point, WithGaps, minimise
-from navfilter.timeseries.model import ArmaModel, log_s0_sd
+from navfilter.timeseries.model import ArmaModel, log_s0_sd, spectral_factor
 from navfilter.timeseries.order_criterion import CRITERIA, Choice, criterion
-from navfilter.timeseries.polynomials import spectral_factor
 from navfilter.timeseries.roots import pull_inside, resolved_radius
 
 

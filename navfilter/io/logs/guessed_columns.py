@@ -21,9 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.foundation.arrays import AnyArray, Array
-from navfilter.io import dates
 from navfilter.io.axis_columns import bare_name, found_axes, size_of_axes
-from navfilter.io.columns import since_1970, unit_of_times
+from navfilter.io.columns import date_seconds, since_1970, unit_of_times
 from navfilter.io.logs.formats import Format
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.table import Table, TableOptions, Where, listing
@@ -263,10 +262,10 @@ def _dated(table: Table, columns: tuple[str, ...], raw: npt.NDArray[Any]) -> _Cl
     column = json.dumps(columns[0]) if len(columns) == 1 else json.dumps(list(columns))
     line, words = f'{{column = {column}, unit = "iso8601"', "the times are UTC"
     try:
-        found = dates.seconds(raw, None, None)
+        found = date_seconds(raw, None, None)
     except ValueError as error:
         try:
-            found = dates.seconds(raw, "dmy", None)
+            found = date_seconds(raw, "dmy", None)
         except ValueError:
             raise MissionError(f"{table.path}: {error}") from None
         line, words = f'{line}, order = "dmy"', f"{words}, and dates are day, month, year"

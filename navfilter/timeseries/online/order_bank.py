@@ -14,10 +14,9 @@ from navfilter.foundation.arguments import needs, numbers
 from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.foundation.display import Shown, few
 from navfilter.kernels import recursive_arma as kernel
-from navfilter.timeseries.model import ArmaModel, log_s0_sd
+from navfilter.timeseries.model import ArmaModel, log_s0_sd, split_bias
 from navfilter.timeseries.online.recursive import RecursiveArma
 from navfilter.timeseries.order_criterion import Challenge, Choice
-from navfilter.timeseries.polynomials import split_bias
 from navfilter.timeseries.roots import cap_poles, has_unit_root, resolved_radius
 
 BANK_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))
