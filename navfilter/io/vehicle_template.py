@@ -9,16 +9,14 @@ import inspect
 import math
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from navfilter.io.units import SUFFIXES
 from navfilter.models.mechanisation import DeadReckoning, Imu
 from navfilter.models.sensors import BodyVelocity, Heading, Sensor
-from navfilter.models.sensors.heading import COMPASS_ERROR
-from navfilter.models.sensors.traits import kind_name, kinds_below
-from navfilter.models.sensors.velocity import DVL_ERROR
+from navfilter.models.sensors.traits import EXAMPLES, kind_name, kinds_below
 
 DRIVES = ("imu", "imus", "dead-reckoning")
 _WIDTH = 130
@@ -116,7 +114,7 @@ def _reckoning() -> Iterator[str]:
         "The heading, with its error.",
         None,
         'type = "heading"',
-        COMPASS_ERROR,
+        EXAMPLES["compass"].lines[0],
         without=unused | iron,
     )
     yield _section(
@@ -125,7 +123,7 @@ def _reckoning() -> Iterator[str]:
         "The body velocity.",
         None,
         'type = "body-velocity"',
-        DVL_ERROR,
+        *EXAMPLES["dvl"].lines,
         lever=(0.5, 0.0, 0.1),
         without=unused,
     )
@@ -138,7 +136,7 @@ def _section(
     words: str,
     rate_hz: float | None,
     *live: str,
-    lever: tuple[float, float, float] | None = None,
+    lever: Sequence[float] | None = None,
     without: set[str] | None = None,
 ) -> str:
     """One table: what is set, then every other key of the class at its default."""

@@ -13,8 +13,8 @@ from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White
 from navfilter.models.learned_arma import learning_part, resolve_prior
 from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
-from navfilter.models.sensors.traits import Columns, Doubt, Example
-from navfilter.models.sensors.velocity import DVL_ERROR, BodyVelocity
+from navfilter.models.sensors.traits import EXAMPLES, Columns, Doubt, Example
+from navfilter.models.sensors.velocity import BodyVelocity
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
@@ -71,15 +71,7 @@ class DvlBeams(BodyVelocity):
     gives: ClassVar[str] = ""
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((BEAMS,),)
     beside: ClassVar[tuple[Columns, ...]] = (WATER_BEAMS,)
-    template: ClassVar[Example | None] = Example(
-        "beams",
-        "A DVL beam by beam, instead of its three axes: each beam is judged for itself. current_sd_m_s above 0: the "
-        "same instrument tracks the water too.",
-        4,
-        (DVL_ERROR, 'water_error = {model = "white", sd = 0.02}'),
-        (0.5, 0.0, 0.1),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["beams"]
 
     def __post_init__(self) -> None:
         super().__post_init__()

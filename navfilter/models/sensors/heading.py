@@ -17,7 +17,7 @@ from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Sensor, Vector, checked_vector
-from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
+from navfilter.models.sensors.traits import EXAMPLES, Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth
@@ -35,9 +35,6 @@ STRAIGHT_S = 300.0
 TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
-COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
-_PRIOR = COMPASS_ERROR.removeprefix("error = ")
-_LEARNT = f'# learnt under way instead: error = {{model = "learned-arma", prior = {_PRIOR}}}'
 
 
 def with_declination_sd(sensor: Any, magnetic: bool, start: Start) -> Any:
@@ -109,7 +106,7 @@ class Heading(Sensor):
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((HEADING,), (FIELD,))
     beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
     plausible: ClassVar[Plausible | None] = USUAL
-    template: ClassVar[Example | None] = Example("compass", "Compass, or magnetometer.", 8, (COMPASS_ERROR, _LEARNT))
+    template: ClassVar[Example | None] = EXAMPLES["compass"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -362,16 +359,7 @@ class Attitude(Sensor):
     observes: ClassVar[Observable] = Observable.ATTITUDE
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ATTITUDE,),)
     plausible: ClassVar[Plausible | None] = USUAL
-    template: ClassVar[Example | None] = Example(
-        "ahrs",
-        "Attitude of an AHRS or gyrocompass beside the inertial unit; its errors are slow, because it filters itself.",
-        5,
-        (
-            'error = {roll = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}, pitch = {model = "gauss-markov", '
-            'sd_deg = 0.5, tau_s = 30}, yaw = {model = "gauss-markov", sd_deg = 1.0, tau_s = 60}}',
-        ),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["ahrs"]
 
     def __post_init__(self) -> None:
         super().__post_init__()

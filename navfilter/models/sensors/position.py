@@ -17,7 +17,7 @@ from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import LARGEST, Sensor, Vector
-from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible
+from navfilter.models.sensors.traits import EXAMPLES, Columns, Doubt, Example, Plausible
 from navfilter.models.start import Start
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth
 
@@ -60,14 +60,7 @@ class Altitude(Sensor):
     observes: ClassVar[Observable] = Observable.ALTITUDE
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ALTITUDE,),)
     plausible: ClassVar[Plausible | None] = Plausible(1e-3, 20.0, "cm", most_rate_hz=100.0)
-    template: ClassVar[Example | None] = Example(
-        "altitude",
-        "Height above the bottom, of a DVL or an altimeter, where the height of the bottom is known.",
-        4,
-        ('error = {model = "white", sd = 0.1}',),
-        (0.5, 0.0, 0.1),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["altitude"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,9 +156,7 @@ class Depth(Sensor):
     observes: ClassVar[Observable] = Observable.HEIGHT
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((DEPTH,), (PRESSURE,))
     plausible: ClassVar[Plausible | None] = Plausible(1e-4, 10.0, "cm", most_rate_hz=200.0)
-    template: ClassVar[Example | None] = Example(
-        "depth", "Depth gauge.", 1, ('error = {model = "white", sd = 0.05}',), (0.2, 0.0, -0.1)
-    )
+    template: ClassVar[Example | None] = EXAMPLES["depth"]
 
     def parameters(self) -> tuple[Parameter, ...]:
         """The offset, or none."""
@@ -274,9 +265,7 @@ class Position(Sensor):
     plausible: ClassVar[Plausible | None] = Plausible(
         3e-3, 1000.0, "", most_rate_hz=50.0, hint="Errors of fixes are in metres, not in degrees or radians."
     )
-    template: ClassVar[Example | None] = Example(
-        "gps", "Position fixes.", 1, ('error = {model = "gauss-markov", sd = 3.0, tau_s = 60}',), (-0.4, 0.0, -0.2)
-    )
+    template: ClassVar[Example | None] = EXAMPLES["gps"]
 
     @property
     def words(self) -> str:

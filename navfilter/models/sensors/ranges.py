@@ -16,7 +16,7 @@ from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, White
 from navfilter.models.parameters import Parameter
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Sensor, Vector, checked_vector
-from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
+from navfilter.models.sensors.traits import EXAMPLES, Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth
@@ -94,14 +94,7 @@ class Range(Sensor):
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((RANGE,),)
     beside: ClassVar[tuple[Columns, ...]] = (BEACON,)
     plausible: ClassVar[Plausible | None] = Plausible(1e-3, 200.0, "cm", most_rate_hz=100.0)
-    template: ClassVar[Example | None] = Example(
-        "ranges",
-        "Ranges to beacons (long baseline, a single beacon): latitude, longitude [deg] and height [m] of each.",
-        1,
-        ("beacons = [[26.0, -80.0, -50.0]]", 'error = {model = "white", sd = 1.0}'),
-        (0.0, 0.0, -0.3),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["ranges"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -304,18 +297,7 @@ class Usbl(Sensor):
     bend: ClassVar[Callable[..., None] | None] = staticmethod(consistency.usbl_second_order)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POLAR, SHIP), (RELATIVE, SHIP))
     beside: ClassVar[tuple[Columns, ...]] = (SHIP_ATTITUDE,)
-    template: ClassVar[Example | None] = Example(
-        "usbl",
-        "USBL: range and direction in which a ship hears the vehicle, with her own position and attitude. Errors "
-        "of the range [m], then across the line of sight and along the elevation [rad].",
-        0.2,
-        (
-            'error = {range = {model = "white", sd = 1.0}, across = {model = "white", sd_deg = 0.5}, '
-            'elevation = {model = "white", sd_deg = 0.5}}',
-        ),
-        (0.0, 0.0, -0.3),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["usbl"]
 
     def __post_init__(self) -> None:
         super().__post_init__()

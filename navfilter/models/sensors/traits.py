@@ -2,7 +2,9 @@
 
 import math
 import re
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from navfilter.foundation.constants import STANDARD_GRAVITY
@@ -124,9 +126,9 @@ class Example(NamedTuple):
         Of the sensor.
     words : str
     rate_hz : float
-    lines : tuple of str
+    lines : sequence of str
         What is set, as lines of the file, or words about it.
-    lever_arm : tuple of float
+    lever_arm : sequence of float
         Its `lever_arm_b_m`; none where it has no such field.
     live : bool
         False: the whole table is there to be uncommented.
@@ -135,6 +137,13 @@ class Example(NamedTuple):
     name: str
     words: str
     rate_hz: float
-    lines: tuple[str, ...]
-    lever_arm: tuple[float, float, float] | None = None
+    lines: Sequence[str]
+    lever_arm: Sequence[float] | None = None
     live: bool = True
+
+
+#: Those of the kinds that are there, by their names.
+EXAMPLES = {
+    name: Example(name, **given)
+    for name, given in tomllib.loads(Path(__file__).with_name("examples.toml").read_text(encoding="utf-8")).items()
+}

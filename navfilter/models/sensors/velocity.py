@@ -22,7 +22,7 @@ from navfilter.models.navigation_drift import Drift, DriftSource
 from navfilter.models.parameters import Parameter, hidden_states
 from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.sensor import Sensor, Vector, checked_sds, checked_vector
-from navfilter.models.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
+from navfilter.models.sensors.traits import EXAMPLES, Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler
 from navfilter.models.truth import Kinematics, SimulatedReading, Truth
@@ -35,7 +35,6 @@ USUAL = Plausible(1e-4, 0.5, "cm_per_s", most_rate_hz=100.0)
 FLOWS_M_S = 1.0
 #: Wheels that turn slower than this stand: what is left is the noise of what counts them [m/s].
 STILL_M_S = 0.05
-DVL_ERROR = 'error = {model = "white", sd = 0.01}'
 #: So many standard deviations a mounting may be turned by while nobody knows it [1]. Noise of the gyros moves an
 #: instrument across its arm only, and one that reads mm/s would be exact along it: of such a DVL 2 m off a
 #: micromechanical unit the mounting was 34, 25 and 10 standard deviations off; by 1 13, 18 and 8, by this 4, 8 and 3.
@@ -89,9 +88,7 @@ class BodyVelocity(Sensor):
     observes: ClassVar[Observable] = Observable.VELOCITY_BODY
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((VELOCITY,),)
     plausible: ClassVar[Plausible | None] = USUAL
-    template: ClassVar[Example | None] = Example(
-        "dvl", "DVL in bottom track, or wheels.", 4, (DVL_ERROR,), (0.5, 0.0, 0.1)
-    )
+    template: ClassVar[Example | None] = EXAMPLES["dvl"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -252,15 +249,7 @@ class WaterVelocity(BodyVelocity):
     observes: ClassVar[Observable] = Observable.VELOCITY_WATER
     gives: ClassVar[str] = ""
     flows_m_s: ClassVar[float] = FLOWS_M_S
-    template: ClassVar[Example | None] = Example(
-        "water",
-        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current "
-        "carries on.",
-        4,
-        ('error = {model = "white", sd = 0.02}',),
-        (0.5, 0.0, 0.1),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["water"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -358,14 +347,7 @@ class ZeroVelocity(Sensor):
     from_drive: ClassVar[bool] = True
     observes: ClassVar[Observable] = Observable.VELOCITY_NED
     plausible: ClassVar[Plausible | None] = USUAL
-    template: ClassVar[Example | None] = Example(
-        "still",
-        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV "
-        "under way.",
-        1,
-        ('error = {model = "white", sd = 0.02}',),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["still"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -429,14 +411,7 @@ class Course(Sensor):
     observes: ClassVar[Observable] = Observable.VELOCITY_NED
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((COURSE,), (VELOCITY_N,))
     plausible: ClassVar[Plausible | None] = USUAL._replace(most_sd=3.0)
-    template: ClassVar[Example | None] = Example(
-        "course",
-        "Speed and course over ground of a satellite receiver.",
-        1,
-        ('error = {model = "white", sd = 0.1}',),
-        (-0.4, 0.0, -0.2),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["course"]
 
     def constants(self, start: Start) -> Array:
         """The lever arm."""
@@ -522,18 +497,7 @@ class Odometer(BodyVelocity):
     gives: ClassVar[str] = ""
     jumps: ClassVar[int | None] = 0  # what holds it to its way does not
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((SPEED,),)
-    template: ClassVar[Example | None] = Example(
-        "odometer",
-        "Wheels or tracks: forward speed, and no speed sideways or upwards. The lever arm leads to the axle that does "
-        "not steer.",
-        10,
-        (
-            'error = {x = {model = "white", sd = 0.05}, y = {model = "white", sd = 0.1}, '
-            'z = {model = "white", sd = 0.1}}',
-        ),
-        (-1.0, 0.0, 0.4),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["odometer"]
 
     @property
     def ground(self) -> int:
@@ -604,14 +568,7 @@ class ZeroRate(ZeroVelocity):
     confirms_state: ClassVar[bool] = False
     observes: ClassVar[Observable] = Observable.RATE
     plausible: ClassVar[Plausible | None] = Plausible(1e-8, 1e-2, "deg_per_h")
-    template: ClassVar[Example | None] = Example(
-        "turning",
-        "For vehicles that really stand still: what the gyros read then is their error and the Earth's rate. It needs "
-        "no stream.",
-        1,
-        ('error = {model = "white", sd = 1e-5}',),
-        live=False,
-    )
+    template: ClassVar[Example | None] = EXAMPLES["turning"]
 
     @property
     def words(self) -> str:
