@@ -15,7 +15,7 @@ from navfilter.models.mission import Mission, Stream
 from navfilter.rendering.clock import clock_of
 from navfilter.rendering.drawing import colour
 from navfilter.rendering.page import Section, escape, page, table_html
-from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Part, Stack
+from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Stack
 from navfilter.report import figures
 from navfilter.report.instrument import Instrument
 from navfilter.report.plan_view import Plan, plan_view
@@ -75,10 +75,10 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
     yield "Track", caption, plan_view(tracks, mission, ellipses=8)
     if truth is not None and any("heading" in run["nees"] for run in comparison.runs.values()):
         caption = "Two thirds of the errors should lie inside the band; what is shaded is not scored."
-        yield "Error against 1 sigma", caption, shaded(heading_against_sigma(tracks, truth))
+        yield "Error against 1 sigma", caption, shaded(against_sigma(tracks, truth, "heading"))
     if truth is not None and any("position" in run["nees"] for run in comparison.runs.values()):
         caption = "Where the error keeps above the coloured area, the run believes itself too much."
-        yield "", caption, shaded(position_against_sigma(tracks, truth))
+        yield "", caption, shaded(against_sigma(tracks, truth, "horizontal"))
     nees = None if truth is None else figures.consistency_figure(tracks, truth)
     if nees is not None:
         yield "Honesty of the covariance", figures.NEES, shaded(nees)
@@ -150,42 +150,25 @@ def _models_table(tracks: Tracks) -> tuple[list[str], list[list[str]]]:
 # --- figures that only a comparison has ------------------------------------------------------------------------------
 
 
-def heading_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
-    """Heading error and its 1-sigma band, one panel per run, all on the same scale."""
-    limit = 0.0
-    found: list[tuple[str, tuple[Part, ...]]] = []
+def against_sigma(tracks: Tracks, truth: Stream, name: str) -> Stack:
+    """Error of the heading, or of the horizontal position, and how large it is predicted to be (1 sigma, rms): one
+    panel per run, all on the same scale.
+    """
+    limit, panels = 0.0, []
     for number, (label, track) in enumerate(tracks.items()):
-        hue, _ = colour(number)
-        sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
-        error = np.degrees(track.errors(truth).heading)
-        parts = (
-            Band(track.time_s, -sd, sd, f"{label}: ±1σ", hue, 0.3),
-            Line(track.time_s, error, f"{label}: error", hue, width=0.9),
-        )
-        limit = max(limit, _scale(error), 1.1 * _scale(sd, 0.9))
-        found.append((f"{label}\nheading [deg]", parts))
-    return _on_one_scale(found, (-limit, limit))
-
-
-def position_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
-    """Horizontal position error and its predicted rms, one panel per run, all on the same scale."""
-    limit = 0.0
-    found: list[tuple[str, tuple[Part, ...]]] = []
-    for number, (label, track) in enumerate(tracks.items()):
-        hue, _ = colour(number)
-        predicted = track.horizontal_sd()
-        error = track.errors(truth).horizontal
-        parts = (
-            Band(track.time_s, np.zeros(len(track)), predicted, f"{label}: up to the predicted rms", hue, 0.3),
-            Line(track.time_s, error, f"{label}: error", hue, width=0.9),
-        )
-        limit = max(limit, _scale(error), _scale(predicted))
-        found.append((f"{label}\nhorizontal [m]", parts))
-    return _on_one_scale(found, (0.0, limit))
-
-
-def _on_one_scale(found: list[tuple[str, tuple[Part, ...]]], limits: tuple[float, float]) -> Stack:
-    return Stack(tuple(Panel(label, parts, limits, lines_at=(0.0,)) for label, parts in found), 1.2)
+        hue, errors = colour(number)[0], track.errors(truth)
+        if name == "heading":
+            sd, error = np.degrees(np.sqrt(track.covariance[:, 8, 8])), np.degrees(errors.heading)
+            low, words, most, unit = -sd, "±1σ", 1.1 * _scale(sd, 0.9), "deg"
+        else:
+            sd, error = track.horizontal_sd(), errors.horizontal
+            low, words, most, unit = np.zeros(len(track)), "up to the predicted rms", _scale(sd), "m"
+        band = Band(track.time_s, low, sd, f"{label}: {words}", hue, 0.3)
+        line = Line(track.time_s, error, f"{label}: error", hue, width=0.9)
+        limit = max(limit, _scale(error), most)
+        panels.append((f"{label}\n{name} [{unit}]", (band, line)))
+    limits = (-limit if name == "heading" else 0.0, limit)
+    return Stack(tuple(Panel(label, parts, limits, lines_at=(0.0,)) for label, parts in panels), 1.2)
 
 
 def _scale(values: Array, p: float = 0.998) -> float:
