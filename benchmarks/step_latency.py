@@ -37,7 +37,7 @@ from navfilter.filter.filter import Filter
 from navfilter.learning.background import Worker
 from navfilter.learning.open_loop_series import OpenLoopSeries
 from navfilter.navigation.early_rerun import ShadowRun
-from navfilter.navigation.history import History
+from navfilter.navigation.runner import History
 from navfilter.playback.replay import drive_samples
 
 SHARES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}

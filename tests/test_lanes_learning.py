@@ -11,7 +11,7 @@ from navfilter.faults import settings as fault_settings
 from navfilter.faults.lane_selection import LaneChoice
 from navfilter.filter.records import Tape
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.navigation.lanes.replay import LaneReplay
+from navfilter.navigation.lanes.navigator import LaneReplay
 from navfilter.simulation.scenarios import survey
 from navfilter.simulation.simulate import Faults, simulate
 

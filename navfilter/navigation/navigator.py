@@ -31,9 +31,9 @@ from navfilter.models.vehicle import Vehicle
 from navfilter.navigation import snapshot as snapshots
 from navfilter.navigation.alternative import Alternative
 from navfilter.navigation.early_rerun import EarlyRerun
-from navfilter.navigation.history import History
 from navfilter.navigation.live_runner import prompt_sample, prompts
 from navfilter.navigation.memory import NavigatorMemory, check_watches
+from navfilter.navigation.runner import History
 from navfilter.navigation.status import NavigatorStatus, health_of, state_of
 from navfilter.navigation.waiting import MeasurementQueue
 

@@ -33,7 +33,7 @@ from navfilter.models.sensors import Sensor
 from navfilter.models.start import Start
 from navfilter.models.state import matrix_from_euler, wrap
 from navfilter.models.vehicle import Vehicle
-from navfilter.navigation.lanes.replay import replayed_lanes
+from navfilter.navigation.lanes.navigator import replayed_lanes
 from navfilter.navigation.navigator import Navigator
 from navfilter.navigation.recorded_inputs import MeasurementSequence, drive_samples, readings_of
 from navfilter.navigation.runner import BatchRunner
