@@ -26,7 +26,7 @@ import navfilter as nf
 from navfilter.check import check_mission
 from navfilter.rendering.drawing import style, svg
 from navfilter.rendering.page import Section, image_html, page, table_html
-from navfilter.report.plan_view import draw_plan, plan_view
+from navfilter.report.instrument import draw_plan, plan_view
 
 Row = dict[str, Any]
 #: What others publish for this task: source, dives, what differs, figures.

@@ -8,7 +8,7 @@ import pytest
 from small_run import small_run
 
 from navfilter.commands.cli import main
-from navfilter.evaluation.control_points import ControlPoint, control_residuals, read_control_points
+from navfilter.evaluation.assessment import ControlPoint, control_residuals, read_control_points
 from navfilter.io import write_vehicle
 from navfilter.models.mission import MissionError
 

@@ -13,7 +13,7 @@ from navfilter.io.mission_schema import FORMS, TRUTH_ONLY, groups
 from navfilter.io.table import Where
 from navfilter.io.tracks.formats import FORMATS
 from navfilter.io.units import ALIASES, SUFFIXES, UNITS
-from navfilter.io.vehicle_keys import plain_key, times
+from navfilter.io.vehicle_toml import plain_key, times
 from navfilter.models.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.mechanisation import DeadReckoning, Imu, Mechanisation

@@ -13,7 +13,7 @@ from small_run import small_run
 import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.commands.console import complain, speaker
-from navfilter.evaluation.control_points import read_control_points
+from navfilter.evaluation.assessment import read_control_points
 from navfilter.foundation.quoting import one_line, printable, toml_key, toml_text
 from navfilter.io.toml_editing import write_learned
 from navfilter.rendering.page import escape

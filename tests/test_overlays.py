@@ -13,7 +13,7 @@ import navfilter as nf
 from navfilter.commands.cli import main
 from navfilter.io import write_vehicle
 from navfilter.io.tracks.table import read_track
-from navfilter.report.plan_view import MOST_TILES, TILE, _tile, chart_of, check_tiles, draw_plan, plan_view
+from navfilter.report.instrument import MOST_TILES, TILE, _tile, chart_of, check_tiles, draw_plan, plan_view
 from navfilter.report.report import render_report
 from navfilter.report.run_tables import headline_rows
 

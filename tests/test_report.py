@@ -25,7 +25,7 @@ from navfilter.rendering.drawing import draw, style, svg
 from navfilter.rendering.thinning import broken, envelope, extremes, straightened
 from navfilter.report import figures
 from navfilter.report.figures import shown_states, states_figure
-from navfilter.report.plan_view import draw_plan, plan_view
+from navfilter.report.instrument import draw_plan, plan_view
 from navfilter.report.report import render_report
 from navfilter.report.run_tables import headline_table, sensor_table
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 from navfilter.io.write import labelled, write_text
 from navfilter.playback.replay import replay
-from navfilter.report.plan_view import _tile
+from navfilter.report.instrument import _tile
 from navfilter.report.report import render_report
 from navfilter.simulation.scenarios import simulate_scenario
 

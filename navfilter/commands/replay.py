@@ -16,8 +16,7 @@ from navfilter.commands import console, mission_part
 from navfilter.io.tracks.formats import FORMATS, is_nowhere
 
 if TYPE_CHECKING:
-    from navfilter.evaluation.assessment import Assessment
-    from navfilter.evaluation.control_points import ControlPoint
+    from navfilter.evaluation.assessment import Assessment, ControlPoint
     from navfilter.models.mission import Mission
     from navfilter.playback.replay import Withheld
     from navfilter.track.track import Track
@@ -155,7 +154,7 @@ def replay_one(options: argparse.Namespace) -> int:
     """Replay the one mission of the options, and write what came of it; the exit code."""
     from navfilter.calibration.lights import check_limits
     from navfilter.calibration.parts import constants_of
-    from navfilter.evaluation.control_points import read_control_points
+    from navfilter.evaluation.assessment import read_control_points
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
 
@@ -167,7 +166,7 @@ def replay_one(options: argparse.Namespace) -> int:
         check_limits(limits, constants_of(vehicle))
     control = read_control_points(Path(options.control)) if options.control else ()
     if options.tiles:
-        from navfilter.report.plan_view import check_tiles
+        from navfilter.report.instrument import check_tiles
 
         check_tiles(Path(options.tiles))
     folder = console.output_folder(options.out, options.force)

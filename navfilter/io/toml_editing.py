@@ -31,8 +31,15 @@ import tomlkit
 from tomlkit.items import InlineTable, Table
 
 from navfilter.foundation.quoting import one_line, toml_key, toml_text
-from navfilter.io.vehicle_keys import spellings
-from navfilter.io.vehicle_toml import described_text, error_text, learnt_keys, read_vehicle, vehicle_file, write_vehicle
+from navfilter.io.vehicle_toml import (
+    described_text,
+    error_text,
+    learnt_keys,
+    read_vehicle,
+    spellings,
+    vehicle_file,
+    write_vehicle,
+)
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import learned_part
 from navfilter.models.vehicle import Vehicle

@@ -17,8 +17,7 @@ from navfilter.rendering.drawing import colour
 from navfilter.rendering.page import Section, escape, page, table_html
 from navfilter.rendering.panels import Band, Level, Line, Mark, Panel, Stack
 from navfilter.report import figures
-from navfilter.report.instrument import Instrument
-from navfilter.report.plan_view import Plan, plan_view
+from navfilter.report.instrument import Instrument, Plan, plan_view
 from navfilter.timeseries.diagnostics import acf
 from navfilter.track.track import Tracks
 

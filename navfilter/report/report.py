@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from navfilter.calibration.lights import Light
-from navfilter.evaluation.assessment import Assessment, Verdict, assess
+from navfilter.evaluation.assessment import Assessment, Control, Verdict, assess
 from navfilter.evaluation.comparison import number_text
-from navfilter.evaluation.control_points import Control
 from navfilter.evaluation.diagnostics import OUTAGE_S, OUTAGE_STEPS, Evidence, Surfacing
 from navfilter.evaluation.over_dives_text import LearnedText, Scale, error_words, in_force
 from navfilter.filter.records import OUTCOMES
@@ -26,8 +25,7 @@ from navfilter.rendering.panels import Mark, Stack, short
 from navfilter.report import figures
 from navfilter.report.constant_table import ABOUT, lights_html
 from navfilter.report.figures import LANES, lane_figure, lane_marks, lane_rows, spell_rows, trust_figure
-from navfilter.report.instrument import Instrument
-from navfilter.report.plan_view import plan_view
+from navfilter.report.instrument import Instrument, plan_view
 from navfilter.report.run_tables import Rows, headline_rows, sensor_rows
 from navfilter.track.track import Track, Tracks
 
@@ -68,7 +66,7 @@ def render_report(
     beside : dict of str to Track, optional
         Other runs by label, shown with these over time and from above.
     tiles : path-like, optional
-        For a chart under the track, see `navfilter.report.plan_view.chart_of`.
+        For a chart under the track, see `navfilter.report.instrument.chart_of`.
     """
     result, first = list(tracks.values())[-1], next(iter(tracks.values()))
     summary = summarise(tracks, mission)
