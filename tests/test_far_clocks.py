@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from navfilter.check.course import LEAST_S, MOST_S, far_finding, late_by
+from navfilter.check.course import LEAST_S, far_finding, late_by
+from navfilter.check.course import MOST_OFFSET_S as MOST_S
 
 T = np.arange(0.0, 900.0, 0.1)
 TURNED = np.cumsum(np.random.default_rng(5).normal(size=T.size)) * 0.01

@@ -24,6 +24,7 @@ BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 
 
 def names(text: str) -> tuple[str, ...]:
+    """Names with commas between them, each once."""
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
     if not names:
         raise argparse.ArgumentTypeError(f"must be names with commas between them, found '{text}'")

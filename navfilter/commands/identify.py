@@ -38,6 +38,7 @@ def known_to(module: str, name: str) -> Callable[[str], str]:
 
 
 def order(text: str) -> tuple[int, int]:
+    """The order of an ARMA model, as P,Q."""
     parts = [part.strip() for part in text.strip("() ").split(",")]
     if len(parts) != 2:
         raise argparse.ArgumentTypeError(f"must be P,Q such as 2,1, found '{text}'")
@@ -194,6 +195,7 @@ def _busy(quiet: bool) -> Iterator[Any]:
 
 
 def three(text: str) -> tuple[str, ...]:
+    """Three columns, as X,Y,Z."""
     parts = tuple(part.strip() for part in text.split(","))
     if len(parts) != 3 or not all(parts):
         raise argparse.ArgumentTypeError(f"must be three columns X,Y,Z, found '{text}'")

@@ -10,6 +10,7 @@ OK, AS_IT_WAS = 0, 1
 
 
 def gap(text: str) -> float:
+    """A positive number, or "inf"."""
     return math.inf if text == "inf" else console.positive(text)
 
 

@@ -73,6 +73,7 @@ def select(options: argparse.Namespace, mission: Mission, vehicle: Vehicle) -> t
 
 
 def time_of(text: str) -> str:
+    """A time as it is written: seconds, or + and seconds from the first reading."""
     if not re.fullmatch(_TIME, text):
         raise argparse.ArgumentTypeError(
             f"must be a time in seconds, or +seconds from the first reading, found '{text}'"

@@ -12,6 +12,7 @@ from navfilter.foundation.quoting import printable
 
 
 def date(text: str) -> datetime.date:
+    """A day as in 2026-05-04."""
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:
