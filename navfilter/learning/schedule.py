@@ -380,17 +380,18 @@ class LearningSchedule:
         asks = self.fixes or any(listener.constants for listener in self.listeners.values())
         return self.again is not None and bool(asks)
 
-    def is_no_better(self, other: LearningSchedule) -> bool:
-        """Whether a run that has begun again is no better than this one, which goes on then: models that were learnt
-        must predict neither fixes worse, of which nothing is learnt, and which show what the rest makes of the
-        position, nor readings of sensors with constants as states: those models were learnt beside constants as this
-        run estimates them.
+    def is_worse(self, than: Array) -> bool:
+        """Whether a run whose beginning has been done again is worse than it was, by what was fed back then: models
+        that were learnt must predict neither fixes worse, of which nothing is learnt, and which show what the rest
+        makes of the position, nor readings of sensors with constants as states: those models were learnt beside
+        constants as the run before estimates them.
         """
-        if (other._fed_back[-2:] > self._fed_back[-2:] - self.WORSE).all():  # ln of how likely they were
-            return False
+        return not (self._fed_back[-2:] > than[-2:] - self.WORSE).all()  # ln of how likely they were
+
+    def refuse(self) -> None:
+        """The beginning stays as it is."""
         self._quiet_s, self._refused = self.early_s, True
         self._go_on()
-        return True
 
     def _go_on(self) -> None:
         """This early hop is over."""

@@ -17,6 +17,7 @@ from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.alternative import Alternative
 from navfilter.navigation.history import History
+from navfilter.navigation.memory import NavigatorMemory
 from navfilter.navigation.waiting import MeasurementQueue
 
 
@@ -40,6 +41,8 @@ class Run(Protocol):
         The second filter beside it while its unit is in doubt.
     change_count : int
         Counts all that changes otherwise than by ordinary inputs.
+    memory : NavigatorMemory
+        All that changes in order; setting one goes back (or on) to it.
     """
 
     vehicle: Vehicle
@@ -53,6 +56,7 @@ class Run(Protocol):
     early_rerun: Any
     alternative: Alternative
     change_count: int
+    memory: NavigatorMemory
 
     @property
     def fast_paths(self) -> Mapping[str, Any]:
