@@ -8,7 +8,7 @@ import pytest
 import navfilter as nf
 import navfilter.learning.axis_learner as learner_module
 from navfilter.learning.axis_learner import Learner
-from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.learned_model import slow_psd
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.faults import draw_error

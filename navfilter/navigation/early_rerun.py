@@ -20,7 +20,7 @@ from navfilter.filter.imu_intake import joined
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
-from navfilter.learning.learning_memory import LearningMemory, RerunRequest
+from navfilter.learning.schedule import LearningMemory, RerunRequest
 from navfilter.navigation.run import Run
 from navfilter.navigation.runner import Rerun
 
