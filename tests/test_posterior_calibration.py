@@ -47,9 +47,9 @@ def ranks():
     seen, out = [], np.empty((DRAWS, len(HOPS_S)))
     whole = learner_module.learnt_from
 
-    def noted(likelihood, found, n):
+    def noted(likelihood, found):
         seen.append(found)
-        return whole(likelihood, found, n)
+        return whole(likelihood, found)
 
     frequency = np.array([0.002])
     with pytest.MonkeyPatch.context() as patch:

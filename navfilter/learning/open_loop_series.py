@@ -248,6 +248,8 @@ class OpenLoopSeries:
     @memory.setter
     def memory(self, memory: OpenLoopMemory) -> None:
         recall(self.learners, self._memory.learners, memory.learners)
+        if memory.models is not self.described and memory.models == self.described:  # a snapshot has its own
+            memory.models = self.described
         self._memory = memory
 
     def _noted(self, last: int, without: int = 0) -> tuple[Array, Ints]:
