@@ -160,9 +160,7 @@ class Learner:
             In the unit of the series; None where it holds too little or nothing new, or never changes.
         """
         found = self.look(series, fresh)
-        if found is None:
-            return None
-        return mixed(*learnt_from(*found), found[0], self.described)
+        return None if found is None else mixed(*learnt_from(*found), found[0], self.described)
 
     def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
         """What a hop finds in the series, see there: the hypothesis that there is no quick colour, before the likeliest

@@ -117,10 +117,8 @@ def slow_posterior(likelihood: Likelihood, point: Point, known: Mapping[Place, L
         searches: dict[Place, tuple[float, Search]] = {}
         for number, log_tau in enumerate(log_taus):
             place, look = (order, number), _Look(prior, order, log_tau, best)
-            if known and place in known:
-                searches[place] = log_tau, look.again(known[place])
-            else:
-                searches[place] = log_tau, look.line(*guesses[number])
+            known_line = known and known.get(place)
+            searches[place] = log_tau, look.again(known_line) if known_line else look.line(*guesses[number])
         if order == 1:
             # none at all: one too small to matter
             look = _Look(prior, 1, log_taus[-1], best)
