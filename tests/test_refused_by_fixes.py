@@ -71,6 +71,9 @@ def test_live_with_threads_and_from_a_snapshot_it_is_the_same(mission, refused):
     alone = nf.Navigator(vehicle, recorded.start, threads=False)
     rows = fed(alone, events)
     assert alone.counts["adopted"] == 1  # in the end the prior itself
+    track = nf.replay(vehicle, recorded)
+    np.testing.assert_array_equal(track.covariance[-1], alone.state.covariance)
+    assert track.revised is None and np.all(np.diff(track.time_s) > 0.0)
     live = nf.Navigator(vehicle, recorded.start)
     np.testing.assert_array_equal(fed(live, events), rows)
     assert differences(live.memory.filter, alone.memory.filter) == []
