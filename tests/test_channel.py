@@ -360,6 +360,10 @@ def dense(y, V, X):
     return float(0.5 * (log + square + (len(y) - d) * math.log(2.0 * math.pi)))
 
 
+def minus_loglik(likelihood, theta, p, slow=0):
+    return float(likelihood.standardised([theta], p, slow)[0][0])
+
+
 def lags(n):
     return np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
 

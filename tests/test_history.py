@@ -34,7 +34,7 @@ def test_late_readings_equal_arrival_in_order(dive):
     one_by_one(one, events)
     outcomes = [outcome.status for outcome in one_by_one(two, late)]
     assert outcomes.count("late-replayed") > 100 and "too-late" not in outcomes
-    assert one.counts["adopted"] >= 2 and one.counts == two.counts
+    assert one.counts["adopted"] >= 1 and one.counts == two.counts
     same_runs.assert_same_estimate(one, two)
 
 
@@ -54,7 +54,7 @@ def test_learning_is_the_same_whatever_comes_late(history_s, share, monkeypatch)
     late = delayed(events, ("gps", "compass"), history_s - 0.3, seed=7, share=share)
     outcomes = [outcome.status for outcome in one_by_one(two, late)]
     assert outcomes.count("late-replayed") > 60 and "too-late" not in outcomes
-    assert one.counts["adopted"] >= 5
+    assert one.counts["adopted"] >= 2
     assert one.filter.memory.models == two.filter.memory.models
     assert differences(two.filter.memory, one.filter.memory, 1e-9) == []
 
@@ -64,9 +64,9 @@ def test_a_twin_takes_no_place_while_a_late_reading_is_put_in_its_own(monkeypatc
     the time at which it is awaited is late, and the twin has had the samples since.
     """
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (30.0, 60.0, 120.0))
+    monkeypatch.setattr(LearningSchedule, "ANOTHER", -1.0)  # the beginning is done again for every model
     vehicle, mission = simulate_scenario("lawnmower", 3, 150.0)
-    prior = nf.GaussMarkov(sd=0.2, tau_s=20.0) + nf.White(sd=0.1)  # nothing like it: the beginning is done again
-    vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=prior, window=400, hop=200))
+    vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=200))
     events, made_s = events_of(vehicle, mission), []
 
     def noted(twin, nav, *args, init=ShadowRun.__init__):
@@ -99,6 +99,16 @@ def test_beyond_the_history_a_reading_is_too_late(dive):
     assert nav.correct("depth", 19.5, 0.0).status == "duplicate"
     with pytest.raises(ValueError, match="tape"):
         nf.Navigator(vehicle, mission.start, nf.Tape(), history_s=1.0)
+
+
+def test_what_is_as_described_is_so_after_a_restart(dive):
+    """Its level is watched where something has been learnt of it, and there alone."""
+    vehicle, mission, events = dive
+    nav = nf.Navigator(vehicle, mission.start)
+    for until_s, watched in ((20.0, False), (40.0, True)):
+        one_by_one(nav, [event for event in events if nav.time_s < event.time_s <= until_s])
+        nav = nf.Navigator.restore(vehicle, nav.snapshot())
+        assert nav.learning.listeners["compass"].is_watched == watched
 
 
 @pytest.mark.parametrize("at_s", [0.0, 33.3, 97.77])

@@ -14,9 +14,8 @@ import navfilter as nf
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
 from navfilter.learning.axis_learner import Learner
-from navfilter.learning.model_reduction import hand_over
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.learning.static_recorder import RestRecorder
+from navfilter.learning.static_recorder import RestRecorder, hand_over
 from navfilter.models.error_models import RandomWalk, Sum
 from navfilter.models.learned_arma import DEFAULT_ORDERS, learned_part
 from navfilter.models.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
@@ -192,7 +191,7 @@ def test_increments_are_learnt_as_rates():
 
 
 def test_power_that_drives_a_pole_is_that_of_its_part():
-    from navfilter.learning.model_reduction import _driving_variance
+    from navfilter.learning.static_recorder import _driving_variance
 
     both = add_arma([ArmaModel([-0.9995], [], 0.01), ArmaModel([-1.2, 0.7], [0.3], 1.0)])
     assert _driving_variance(both, 0.9995) == pytest.approx(1e-4, rel=1e-6)

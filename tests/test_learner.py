@@ -12,8 +12,8 @@ from navfilter.faults.sensor_bias import RejectionRun
 from navfilter.foundation.state_values import from_arrays, to_arrays
 from navfilter.learning.axis_learner import Learner, LearnerMemory
 from navfilter.learning.initial_values import Growth, white_point
+from navfilter.learning.learned_model import slow_psd
 from navfilter.learning.likelihood import Followed, Likelihood, maximise
-from navfilter.learning.moment_matching import slow_psd
 from navfilter.learning.open_loop_series import without_spikes
 from navfilter.learning.schedule import doubtful_ticks
 from navfilter.learning.slow_posterior import Line

@@ -8,7 +8,7 @@ import pytest
 import navfilter as nf
 import navfilter.learning.axis_learner as learner_module
 from navfilter.learning.axis_learner import Learner
-from navfilter.learning.moment_matching import slow_psd
+from navfilter.learning.learned_model import slow_psd
 from navfilter.learning.slow_prior import SlowPrior
 from navfilter.models.navigation_drift import Drift
 from navfilter.simulation.simulate import draw_error
@@ -47,9 +47,9 @@ def ranks():
     seen, out = [], np.empty((DRAWS, len(HOPS_S)))
     whole = learner_module.learnt_from
 
-    def noted(likelihood, found, n):
+    def noted(likelihood, found):
         seen.append(found)
-        return whole(likelihood, found, n)
+        return whole(likelihood, found)
 
     frequency = np.array([0.002])
     with pytest.MonkeyPatch.context() as patch:

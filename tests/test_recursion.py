@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from test_channel import TACTICAL, gauss_markov, series
+from test_channel import TACTICAL, gauss_markov, minus_loglik, series
 from test_learner import believing
 
 from navfilter.learning.axis_learner import Learner
@@ -45,7 +45,7 @@ def test_where_nothing_is_forgotten_it_is_the_batch_likelihood(slow, fast, cut):
     in_two = last.gone_on(first.followed(theta, 1, slow), 1, slow, -1.0)
     np.testing.assert_allclose(in_two.state, at_once.state, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(in_two.info, at_once.info, rtol=1e-3, atol=1e-3)
-    values = [likelihood.value(theta, 1, slow) for likelihood in (whole, first)]
+    values = [minus_loglik(likelihood, theta, 1, slow) for likelihood in (whole, first)]
     assert in_two.told[0] == pytest.approx(values[0] - values[1], rel=1e-9)
     known = whole.point(theta, 1, slow).info.copy()
     if slow:

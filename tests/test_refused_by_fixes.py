@@ -49,14 +49,14 @@ def mission():
 def test_refused_to_the_end_the_sensor_is_as_described_or_as_was_taken_before(mission, early, monkeypatch, taken):
     """While something may still be learnt, white noise stands beside the prior; a model that was taken stays."""
     described, learning, recorded, _ = mission
-    no_better, asked = LearningSchedule.is_no_better, []
+    is_worse, asked = LearningSchedule.is_worse, []
 
-    def refuses(own, other):
+    def refuses(own, than):
         asked.append(own)
         monkeypatch.setattr(LearningSchedule, "WORSE", math.inf if len(asked) <= taken else -math.inf)
-        return no_better(own, other)
+        return is_worse(own, than)
 
-    monkeypatch.setattr(LearningSchedule, "is_no_better", refuses)
+    monkeypatch.setattr(LearningSchedule, "is_worse", refuses)
     track = nf.replay(learning, recorded)
     assert len(asked) > taken
     ends = track.error_models["compass"][-1][1]
@@ -71,6 +71,9 @@ def test_live_with_threads_and_from_a_snapshot_it_is_the_same(mission, refused):
     alone = nf.Navigator(vehicle, recorded.start, threads=False)
     rows = fed(alone, events)
     assert alone.counts["adopted"] == 1  # in the end the prior itself
+    track = nf.replay(vehicle, recorded)
+    np.testing.assert_array_equal(track.covariance[-1], alone.state.covariance)
+    assert track.revised is None and np.all(np.diff(track.time_s) > 0.0)
     live = nf.Navigator(vehicle, recorded.start)
     np.testing.assert_array_equal(fed(live, events), rows)
     assert differences(live.memory.filter, alone.memory.filter) == []
@@ -104,7 +107,7 @@ def test_neither_fixes_nor_readings_may_be_less_likely(mission, of_fixes, of_rea
     _, vehicle, recorded, _ = mission
     own, other = (nf.Navigator(vehicle, recorded.start, threads=False).learning for _ in range(2))
     other.feedback[-2:] = of_fixes, of_readings
-    assert own.is_no_better(other) == (min(of_fixes, of_readings) < -LearningSchedule.WORSE)
+    assert other.is_worse(own.feedback) == (min(of_fixes, of_readings) < -LearningSchedule.WORSE)
 
 
 def test_readings_have_a_say_where_constants_of_their_sensor_are_states(mission):

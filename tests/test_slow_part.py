@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_channel import dense, lags, walk_with_gaps, wide
+from test_channel import dense, lags, minus_loglik, walk_with_gaps, wide
 
 import navfilter as nf
 from navfilter.kernels.arma_likelihood import LANES, slow_part
+from navfilter.learning.learned_model import nearest, slow_psd
 from navfilter.learning.likelihood import Likelihood, maximise
-from navfilter.learning.moment_matching import nearest, slow_psd
 from navfilter.learning.slow_posterior import log_share, slow_posterior
 from navfilter.learning.slow_prior import SlowPrior, slow_prior
 from navfilter.models.error_models import CORRELATION_CONSTANTS, GaussMarkov
@@ -163,7 +163,7 @@ def test_a_likelihood_with_a_slow_part_is_the_dense_gaussian(node, ar, ma, drift
     X = np.stack([np.ones(n), np.arange(n) * PERIOD_S], axis=1)[:, :d]
     expected = dense(y, wide(V), wide(X))
     counts = int(np.isfinite(y).sum()) - d
-    value = likelihood.value(np.r_[theta, math.log(node.tau_s)], len(ar), node.order)
+    value = minus_loglik(likelihood, np.r_[theta, math.log(node.tau_s)], len(ar), node.order)
     assert value + counts * likelihood.log_unit == pytest.approx(expected, abs=1e-7)
 
 
@@ -204,7 +204,7 @@ def test_parts_of_a_likelihood_add_up():
     assert since(1) == since(0)  # the first does not count: it fixes the diffuse level
     early = Likelihood(noisy(500, 4)[:200], DRIFT, 0.0, PRIOR)
     early_theta = theta + np.r_[0.0, 1.0, 1.0, 0.0] * (early.log_unit - likelihood.log_unit)
-    before = early.value(early_theta, 1, 1) + early.n * (likelihood.log_unit - early.log_unit)
+    before = minus_loglik(early, early_theta, 1, 1) + early.n * (likelihood.log_unit - early.log_unit)
     assert since(200) == pytest.approx(whole - before, rel=1e-9)
     assert since(500) == 0.0
 
@@ -228,7 +228,7 @@ def brute_force(likelihood, fast, p):
     for order in (1, 2):
         for log_tau in taus:
             for log_sd in sds:
-                value = likelihood.value(np.r_[fast, log_sd + likelihood.log_unit, log_tau], p, order)
+                value = minus_loglik(likelihood, np.r_[fast, log_sd + likelihood.log_unit, log_tau], p, order)
                 rows.append((order, log_tau, log_sd, -value + prior.log_density(order, log_sd, log_tau)))
     out = np.array(rows)
     out[:, 3] = np.exp(out[:, 3] - out[:, 3].max())
@@ -397,7 +397,7 @@ def test_the_odds_of_no_slow_part_are_prior_odds_times_a_ratio_of_likelihoods():
     log_sd, log_tau = np.linspace(*np.log(prior.sd_limits), 400), np.log(prior.taus_s)
     value = np.array(
         [
-            [-likelihood.value(np.r_[fast, u + likelihood.log_unit, t], 0, order) for u in log_sd]
+            [-minus_loglik(likelihood, np.r_[fast, u + likelihood.log_unit, t], 0, order) for u in log_sd]
             for order in (1, 2)
             for t in log_tau
         ]
@@ -405,7 +405,7 @@ def test_the_odds_of_no_slow_part_are_prior_odds_times_a_ratio_of_likelihoods():
     believed = np.array(
         [[math.exp(prior.log_density(order, u, t)) for u in log_sd] for order in (1, 2) for t in log_tau]
     )
-    none = -likelihood.value(np.r_[fast, -30.0, math.log(20.0)], 0, 1)
+    none = -minus_loglik(likelihood, np.r_[fast, -30.0, math.log(20.0)], 0, 1)
     ratio = float((believed / believed.sum() * np.exp(value - none)).sum())
     expected = (1.0 - prior.absent) * ratio / ((1.0 - prior.absent) * ratio + prior.absent)
     assert found.moments[:, 2].sum() == pytest.approx(expected, rel=0.1)

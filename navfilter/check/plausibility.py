@@ -10,8 +10,7 @@ from navfilter.check.finding import Finding, by_severity
 from navfilter.check.units_text import amount, duration, root_density
 from navfilter.filter.state_layout import Layout
 from navfilter.foundation.constants import ROOT_HOUR
-from navfilter.learning.setup import span_s
-from navfilter.learning.slow_prior import slow_prior
+from navfilter.learning.slow_prior import slow_prior, span_s
 from navfilter.models.error_models import ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.models.learned_arma import LearnedArma, learning_part
 from navfilter.models.mechanisation import Mechanisation

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +97,7 @@ def parts(bank: Array) -> tuple[Array, ...]:
     """
     c, n, channels = bank[[kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS]].astype(int).tolist()
     sizes = WINDOWS, c * TABLE, n * WINDOWS * c, WINDOWS * c, (WINDOWS * c) ** 2, WINDOWS * c, channels * kernel.HEARD
-    ends = np.cumsum((kernel.ONSETS, *sizes))
+    ends = [*accumulate(sizes, initial=kernel.ONSETS)]
     N = WINDOWS * c
     shapes = (WINDOWS,), (c, TABLE), (n, N), (N,), (N, N), (N,), (channels, kernel.HEARD)
     return tuple(bank[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
@@ -107,15 +108,12 @@ def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Ch
 
     Where other faults may happen now, because the unit has another number of biases, all windows begin anew.
     """
-    after = begun(layout, channels, time_s)
-    if not (bank.size and after.size) or after[kernel.SIGNATURES] != bank[kernel.SIGNATURES]:
-        return after
-    onsets, _, D, s, J, more, heard = parts(bank)
-    now = parts(after)
-    after[kernel.LOOKS : kernel.ONSETS] = bank[kernel.LOOKS : kernel.ONSETS]
-    now[0][:], now[3][:], now[4][:], now[5][:], now[6][:] = onsets, s, J, more, heard
-    now[2][:] = M @ D
-    return after
+    table = signatures(layout, list(channels.values()))
+    if not bank.size or len(table) != bank[kernel.SIGNATURES]:
+        return begun(layout, channels, time_s)
+    head, (onsets, _, D, *told) = bank[: kernel.ONSETS].copy(), parts(bank)
+    head[kernel.STATES] = layout.size
+    return np.concatenate([part.ravel() for part in (head, onsets, table, M @ D, *told)])
 
 
 def problem(bank: Array, fresh: Array) -> str | None:

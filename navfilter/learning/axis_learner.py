@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,12 +17,16 @@ from navfilter.learning.likelihood import Followed, Likelihood, Point, maximise
 from navfilter.learning.mixture import mixed
 from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_posterior import Line, SlowPosterior, log_share, slow_posterior
-from navfilter.learning.slow_prior import SlowPrior
+from navfilter.learning.slow_prior import SlowPrior, believed
 from navfilter.models.error_models import ErrorModel, RandomWalk
+from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.navigation_drift import Drift
+from navfilter.models.sensors import Sensor
 from navfilter.models.window_limits import LEAST, PER_PARAMETER, WILDEST
 
 Order = tuple[int, int]
+#: What a learner has found in one series.
+AxisFit = tuple[Likelihood, tuple[Found, ...]]
 #: AR and MA order of a fast part, and order of the slow part beside it, 0 without one.
 Kind = tuple[int, int, int]
 #: A hypothesis less probable than this is left out [1] (chosen: it counts where its power is ten times as large).
@@ -60,16 +63,6 @@ class LearnerMemory:
 
 
 NOTHING_KNOWN = LearnerMemory({}, {}, {}, (1.0, 0.0, 0), {})
-
-
-class AxisFit(NamedTuple):
-    """What a learner has found in one series with n samples: the hypothesis that there is no quick colour, before the
-    likeliest other; or one of them alone.
-    """
-
-    likelihood: Likelihood
-    found: tuple[Found, ...]
-    n: int
 
 
 class Learner:
@@ -167,12 +160,12 @@ class Learner:
             In the unit of the series; None where it holds too little or nothing new, or never changes.
         """
         found = self.look(series, fresh)
-        if found is None:
-            return None
-        return mixed(*learnt_from(*found), found.likelihood, self.described)
+        return None if found is None else mixed(*learnt_from(*found), found[0], self.described)
 
     def look(self, series: ArrayLike, fresh: int | None = None) -> AxisFit | None:
-        """What a hop finds in the series, see there."""
+        """What a hop finds in the series, see there: the hypothesis that there is no quick colour, before the likeliest
+        other; or one of them alone.
+        """
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
@@ -224,8 +217,7 @@ class Learner:
             known = lines.get(kind) or next(iter(lines.values()), None)
             posteriors[kind] = slow_posterior(likelihood, points[kind], known)
         self._memory = replace(self._memory, lines={kind: one.lines for kind, one in posteriors.items()})
-        found = tuple(Found(points[kind], posteriors.get(kind), weight) for kind, weight in chosen.items())
-        return AxisFit(likelihood, found, int(np.isfinite(likelihood.y).sum()))
+        return likelihood, tuple(Found(points[kind], posteriors.get(kind), share) for kind, share in chosen.items())
 
     def _fitted(self, y: Array) -> AxisFit | None:
         """What is found in a series by itself."""
@@ -359,3 +351,37 @@ def _best_of_each(scores: dict[Kind, float]) -> list[Kind]:
 
 def _is_usable(point: Point) -> bool:
     return math.isfinite(point.value) and bool(np.all(np.isfinite(point.info)))
+
+
+def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, window: int | None = None) -> Learner:
+    """The learner of one axis of a correcting sensor.
+
+    Parameters
+    ----------
+    part : LearnedArma
+        Of the axis.
+    sensor : Sensor
+    drift : Drift
+    white : float
+        Known white variance in the series.
+    window : int, optional
+        Samples; default: that of the part.
+    """
+    part = part if window is None else replace(part, window=window)
+    period_s = 1.0 / sensor.rate_hz
+    prior = believed(part, period_s, sensor.prior)
+    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=part.prior)
+
+
+def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:
+    """What the learners of a sensor's axes know; None where nothing is learnt."""
+    return tuple(None if learner is None else learner.memory for learner in learners)
+
+
+def recall(
+    learners: Sequence[Learner | None], now: Sequence[LearnerMemory | None], then: Sequence[LearnerMemory | None]
+) -> None:
+    """Let learners that know `now` know `then`; those for which the two are one value stay as they are."""
+    for learner, present, other in zip(learners, now, then, strict=True):
+        if learner is not None and other is not None and other is not present:
+            learner.memory = other

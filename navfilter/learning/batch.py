@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from navfilter.learning.axis_learner import learner_of
+from navfilter.learning.learned_model import with_learnt
 from navfilter.learning.open_loop_series import ChannelSeries
-from navfilter.learning.setup import learner_of, with_learnt
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import LearnedArma, learned_part, learning_part
 from navfilter.models.sensors import Sensor

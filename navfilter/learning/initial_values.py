@@ -145,4 +145,4 @@ def padded(below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
 
 def _product(of: Array, by: Array) -> Array:
     """Coefficients of the product of two polynomials that begin with 1."""
-    return np.convolve(np.r_[1.0, of], np.r_[1.0, by])[1:]
+    return np.convolve([1.0, *of.tolist()], [1.0, *by.tolist()])[1:]

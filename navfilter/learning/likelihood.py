@@ -127,9 +127,10 @@ class Likelihood:
         self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in (1, 1, 2)]
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = count - diffuse
-        self.pole_radius = resolved_radius(max(count, 8))
+        radius = resolved_radius(max(count, 8))
         nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
-        self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
+        self.least_level = max(nearest, 1.0 - radius)  # A(1) of the slowest pole that a fast part may have
+        self._limits = np.array([nearest, radius, EFFORT.zero_radius, -14.0, 40.0])
         if prior is not None:
             sizes = np.log(prior.sd_limits) + self.log_unit
             self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
@@ -156,11 +157,6 @@ class Likelihood:
         """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
         return theta[..., :-2] if slow else theta
 
-    @property
-    def least_level(self) -> float:
-        """A(1) of the slowest pole that a fast part may have."""
-        return max(float(self._limits[0]), 1.0 - self.pole_radius)
-
     def log_shape(self, theta: Array, p: int, slow: int) -> float:
         """Log of how much denser the prior of the coefficients is than an even one from -1 to 1. Nobody knows the time
         of a colour: of each partial correlation k ``ln(1 + k)`` is even. Their product is A(1), or C(1).
@@ -183,10 +179,6 @@ class Likelihood:
         if self._space.size < 2 * n * wide:
             self._space = np.empty(2 * n * wide)
         return self._space[: 2 * n * wide].reshape(2, n, wide)
-
-    def value(self, theta: Array, p: int, slow: int = 0) -> float:
-        """Minus the log-likelihood."""
-        return float(self.standardised([theta], p, slow)[0][0])
 
     def correlations(self, point: Point) -> Array:
         """Autocorrelations of the innovations at a point, shape (LAGS,)."""

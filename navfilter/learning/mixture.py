@@ -18,9 +18,8 @@ from scipy.special import expit
 
 from navfilter.foundation.arrays import Array
 from navfilter.kernels.sum_likelihood import sum_likelihood
-from navfilter.learning.learned_model import LearnedModel
+from navfilter.learning.learned_model import LearnedModel, nearest
 from navfilter.learning.likelihood import Likelihood
-from navfilter.learning.moment_matching import nearest
 from navfilter.models.error_models import (
     Block,
     ErrorModel,

@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
 from navfilter.foundation.arrays import Array, Ints
+from navfilter.foundation.display import Value
 from navfilter.kernels import open_loop_residual
-from navfilter.learning.axis_learner import NOTHING_KNOWN, LearnerMemory
+from navfilter.learning.axis_learner import NOTHING_KNOWN, LearnerMemory, learner_of, memories, recall
 from navfilter.learning.background import Task, Worker
-from navfilter.learning.series_memory import ChannelSeries, Hop, OpenLoopMemory
-from navfilter.learning.setup import learner_of, memories, recall, with_learnt
+from navfilter.learning.learned_model import with_learnt
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.learned_arma import known_walk, known_white, learning_part
-from navfilter.models.navigation_drift import FOUND_S
+from navfilter.models.navigation_drift import FOUND_S, Drift
 from navfilter.models.sensors import Sensor
 from navfilter.models.vehicle import Vehicle
 from navfilter.models.window_limits import LEAST, LONGEST_GAP
-
-__all__ = ["ChannelSeries"]
 
 #: Another level is one that differs by more than this factor, as a variance [1] (chosen: with 1.5 it changes twice as
 #: often).
@@ -34,6 +33,107 @@ TAKEN_AFTER_S = 2.0
 #: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
 LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ChannelSeries(Value):
+    """Readings of one axis minus what an open loop would have predicted.
+
+    Attributes
+    ----------
+    value : ndarray, shape (n,)
+        One element per tick of the sensor [unit of the sensor]; NaN where there was no reading.
+    drift : Drift
+        Known noise of the slow navigation error in it.
+    period_s : float
+    white : float
+        Known white variance in it.
+    """
+
+    value: Array
+    drift: Drift
+    period_s: float
+    white: float
+
+    def _shown(self) -> tuple[str, dict[str, object]]:
+        known = int(np.count_nonzero(np.isfinite(self.value)))
+        return f"ChannelSeries, {known} of {len(self.value)} ticks of {self.period_s:.4g} s", {}
+
+
+@dataclass(frozen=True, eq=False)
+class Hop:
+    """What a hop learns from, fixed when it begins.
+
+    Attributes
+    ----------
+    heard : ndarray, shape (axes or axes + 1, n)
+        The newest ticks that it learns from, as the ring has them, oldest first; its last row where a drift needs it.
+    left_out : ndarray of int, shape (LEFT_OUT, 2)
+        As of the listener, from the first of these ticks.
+    fresh : int
+        Ticks that came since the hop before.
+    taken : int
+        Its answer is taken when so many ticks have been noted.
+    """
+
+    heard: Array
+    left_out: Ints
+    fresh: int
+    taken: int
+
+    def is_same(self, other: Hop) -> bool:
+        """Whether another hop has the same answer."""
+        return (
+            (self.fresh, self.taken) == (other.fresh, other.taken)
+            and np.array_equal(self.left_out, other.left_out)
+            and np.array_equal(self.heard, other.heard, equal_nan=True)
+        )
+
+
+@dataclass
+class OpenLoopMemory:
+    """What a listener remembers.
+
+    Attributes
+    ----------
+    ring : ndarray, shape (axes + 1, capacity)
+        Open-loop residuals, one element per tick [unit of the sensor], and the force that was found while the vehicle
+        pitched or rolled [m/s^2]; the tick with number k stands at ``k % capacity``.
+    cursor : ndarray of int, shape (1,)
+        Ticks noted so far.
+    left_out : ndarray of int, shape (LEFT_OUT, 2)
+        Stretches of ticks, first and end, that nothing is learnt from: the newest last.
+    due : int
+        The next hop comes when so many have been noted.
+    heard : int
+        Ticks that have been learnt from.
+    level : float
+        How many times as large as learnt the error is in the models in force, as a variance.
+    odds : ndarray, shape (LEVELS,)
+        How probable the levels of `navfilter.kernels.open_loop_residual` are.
+    models : tuple of ErrorModel
+        Of each axis, as learnt last.
+    learners : tuple of LearnerMemory or None
+        What the learner of each axis knows; None where nothing is learnt.
+    hop : Hop or None
+        The hop whose answer has not been taken yet.
+    ended : bool
+        What was learnt has been given up, and nothing is learnt any more.
+    """
+
+    SHARED: ClassVar = ("ring",)
+
+    ring: Array
+    cursor: Ints
+    left_out: Ints
+    due: int
+    heard: int
+    level: float
+    odds: Array
+    models: tuple[ErrorModel, ...]
+    learners: tuple[LearnerMemory | None, ...]
+    hop: Hop | None
+    ended: bool
 
 
 class OpenLoopSeries:
@@ -86,7 +186,6 @@ class OpenLoopSeries:
             )
         self.name, self.period_s, self.behind_s = name, 1.0 / sensor.rate_hz, behind_s
         self.worker = worker
-        self._found: tuple[tuple[ErrorModel, ...], tuple[float, ...]] = (), ()  # models, and their S(0)
         # the hop that was begun last, what the learners knew then, and the work on it
         self._begun: tuple[Hop, tuple[LearnerMemory | None, ...], Task] | None = None
         self._before: object = None  # the same of the one before: the thread frees it, as it takes long
@@ -115,13 +214,8 @@ class OpenLoopSeries:
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
-        known = {
-            open_loop_residual.KIND: self.kind,
-            open_loop_residual.CAPACITY: capacity,
-        }
-        self._ear = np.array(
-            [*(known.get(i, 0.0) for i in range(open_loop_residual.MOUNT)), *self.mount], dtype=np.float64
-        )
+        self._ear = np.concatenate([np.zeros(open_loop_residual.MOUNT), self.mount])
+        self._ear[[open_loop_residual.KIND, open_loop_residual.CAPACITY]] = self.kind, capacity
         self._memory = OpenLoopMemory(
             ring=np.full((rows, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
@@ -154,11 +248,9 @@ class OpenLoopSeries:
     @memory.setter
     def memory(self, memory: OpenLoopMemory) -> None:
         recall(self.learners, self._memory.learners, memory.learners)
+        if memory.models is not self.described and memory.models == self.described:  # a snapshot has its own
+            memory.models = self.described
         self._memory = memory
-
-    def series(self, axis: int) -> Array:
-        """All ticks of one axis, oldest first; isolated spikes are missing."""
-        return without_spikes(self._told(axis, *self._noted(self._memory.ring.shape[1])))
 
     def _noted(self, last: int, without: int = 0) -> tuple[Array, Ints]:
         """The last ticks of all axes, and what is needed beside them, oldest first, without the newest; and what of
@@ -203,9 +295,10 @@ class OpenLoopSeries:
         self.leave_out(max(math.ceil(seconds / self.period_s), self._anew))
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
-        """All that was heard, axis by axis."""
+        """All that was heard, axis by axis, oldest first; isolated spikes are missing."""
+        noted = self._noted(self._memory.ring.shape[1])
         return tuple(
-            ChannelSeries(self.series(axis), drift, self.period_s, white)
+            ChannelSeries(without_spikes(self._told(axis, *noted)), drift, self.period_s, white)
             for axis, (drift, white) in enumerate(zip(self.drifts, self.white, strict=True))
         )
 
@@ -230,10 +323,6 @@ class OpenLoopSeries:
         ear[open_loop_residual.ODDS : open_loop_residual.MOUNT] = memory.odds
         return ear
 
-    def for_kernel(self) -> tuple[Array, OpenLoopMemory, bool]:
-        """`series_kernel`, the memory that the kernel writes to, and whether anything is learnt."""
-        return self.series_kernel, self._memory, self.learns
-
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
         """Take over what a kernel has heard: ticks of each reading, and what it has noted of them (n, axes + 1)."""
         memory, capacity = self._memory, self._memory.ring.shape[1]
@@ -254,7 +343,10 @@ class OpenLoopSeries:
         """The beginning will be done again: nothing is learnt again from what was heard before now; the last tick was
         `age_s` ago.
         """
-        self._memory.due = self._next(self._ticks_by_now(age_s)) if self.learns else NEVER
+        ticks = int(self._memory.cursor[0])
+        if ticks:  # readings of others may be on their way
+            ticks += max(0, math.ceil(age_s / self.period_s - 1e-6) - 1)
+        self._memory.due = self._next(ticks) if self.learns else NEVER
 
     def give_up(self) -> None:
         """Back to the error models as described: nothing is learnt any more."""
@@ -274,11 +366,6 @@ class OpenLoopSeries:
         self._memory.cursor[0] = 0
         self._memory.left_out[:] = 0
         self.forget_level()
-
-    def _ticks_by_now(self, age_s: float) -> int:
-        """Ticks noted so far, and those that should have come since: their readings may be on their way."""
-        ticks = int(self._memory.cursor[0])
-        return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
 
     def _next(self, ticks: int) -> int:
         """Ticks that make the next hop due: twice as many at first, a hop more then."""
@@ -353,31 +440,25 @@ class OpenLoopSeries:
         memory = self._memory
         if memory.hop is None:  # what it was learnt from does not count any longer
             return None
-        models, levels, memory.learners = self._task(memory.hop).answer()
+        models, memory.learners = self._task(memory.hop).answer()
         memory.hop = None
         if models is memory.models:
             return None
-        memory.models, self._found = models, (models, levels)
+        memory.models = models
         return models
 
     @property
     def levels(self) -> tuple[float, ...]:
         """S(0) of what is learnt, per axis; 1 where nothing is."""
-        models = self._memory.models
-        if models is not self._found[0]:
-            self._found = models, self._levels(models)
-        return self._found[1]
-
-    def _levels(self, models: Sequence[ErrorModel]) -> tuple[float, ...]:
-        parts = [learning_part(model) for model in models]
+        parts = [learning_part(model) for model in self._memory.models]
         return tuple(1.0 if part is None else max(part.s0(self.period_s), 1e-300) for part in parts)
 
     def _answered(
         self, knew: Sequence[LearnerMemory | None], hop: Hop, models: tuple[ErrorModel, ...]
-    ) -> tuple[tuple[ErrorModel, ...], tuple[float, ...], tuple[LearnerMemory | None, ...]]:
-        """Error models that the learners of all axes have found (the very same where nothing is new), their S(0), and
-        what the learners know then; they themselves do not change. What is not of the hop may be another one meanwhile:
-        this is worked on beside the run.
+    ) -> tuple[tuple[ErrorModel, ...], tuple[LearnerMemory | None, ...]]:
+        """Error models that the learners of all axes have found (the very same where nothing is new), and what the
+        learners know then; they themselves do not change. What is not of the hop may be another one meanwhile: this is
+        worked on beside the run.
         """
         self._before, own = None, [copy(learner) for learner in self.learners]
         recall(own, memories(own), knew)
@@ -389,13 +470,15 @@ class OpenLoopSeries:
                 told = self._told(axis, hop.heard[:, before:], hop.left_out - before)
                 learnt = learner.hop(without_spikes(told), hop.fresh)
             found.append(with_learnt(model, learnt))
-            if learnt is not None and learning_part(found[-1]) is not None:  # remembered for the adoption
+            part = learning_part(found[-1])
+            if learnt is not None and part is not None:  # remembered for the adoption
                 found[-1].block(self.period_s)
+                part.s0(self.period_s)
         new = models if tuple(found) == models else tuple(found)
         expect = self._expect and self._expect()
         if expect and new is not models:
             expect(self.name, new)
-        return new, self._levels(new), memories(own)
+        return new, memories(own)
 
 
 def _as_modelled() -> Array:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 from weakref import WeakMethod
 
 import numpy as np
@@ -27,21 +28,15 @@ from navfilter.foundation.arrays import Array, Ints
 from navfilter.kernels import open_loop_residual
 from navfilter.kernels.batch import STUCK_S
 from navfilter.learning.background import Worker
-from navfilter.learning.learning_memory import LearningMemory, RerunRequest, relaid
-from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopSeries
-from navfilter.learning.series_memory import OpenLoopMemory
-from navfilter.learning.static_recorder import RestRecorder, estimates
+from navfilter.learning.open_loop_series import NEVER, TAKEN_AFTER_S, ChannelSeries, OpenLoopMemory, OpenLoopSeries
+from navfilter.learning.static_recorder import RestMemory, RestRecorder, estimates
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_description
 from navfilter.models.learned_arma import as_described, changed, is_learnt, learning_part
 
 _ASKED = np.where(np.arange(open_loop_residual.EAR) == open_loop_residual.MOUNT + open_loop_residual.ASKED, 1.0, 0.0)
-_NO_RING, _NO_CURSOR, _DEAF, _NOTHING = (
-    np.zeros((1, 1)),
-    np.zeros(1, np.int64),
-    np.zeros(open_loop_residual.EAR),
-    np.zeros(0),
-)
+_NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
+_DEAF, _NOTHING = np.zeros(open_loop_residual.EAR), np.zeros(0)
 
 
 class Heard(NamedTuple):
@@ -59,6 +54,90 @@ class Heard(NamedTuple):
 
 #: Where nobody listens.
 UNHEARD = Heard(_NOTHING, _DEAF, _NO_RING, _NO_CURSOR, None, math.inf)
+
+
+@dataclass(frozen=True)
+class RerunRequest:
+    """How the beginning is done again.
+
+    Attributes
+    ----------
+    models : tuple of (str, error models)
+        In force from the start.
+    adopted : int
+        How many have been adopted by then.
+    """
+
+    models: tuple[tuple[str, Any], ...]
+    adopted: int
+
+
+@dataclass
+class LearningMemory:
+    """Everything that changes while a filter is listened to.
+
+    Attributes
+    ----------
+    fed_back : ndarray, shape (2m + 3,)
+        Sum of what the corrections fed back, as an open loop would have carried it, see
+        `navfilter.kernels.open_loop_residual`.
+    listeners : dict of str to ListenerMemory
+    rest : RestMemory or None
+    beginning : InputBuffer or None
+        Inputs since the start, kept until the first models are adopted; None when that is over.
+    kept : (int, int)
+        How many samples and readings of them there were.
+    stage : int
+        How many of the early hops are over.
+    hopping : bool
+        Whether the next one has begun.
+    again : RerunRequest or None
+        The beginning will be done again so.
+    quiet_s : float
+        Nothing is learnt before this time [s]: it is the beginning, done again.
+    waiting : tuple of Change
+        Models that are adopted one a reading: each costs about a millisecond.
+    levels : dict of str to tuple of float
+        S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
+    refused : bool
+        Whether what was learnt last predicts fixes, or its readings, worse than what is in force.
+    """
+
+    SHARED: ClassVar = ("beginning",)
+
+    fed_back: Array
+    listeners: dict[str, OpenLoopMemory]
+    rest: RestMemory | None
+    beginning: InputBuffer | None
+    kept: tuple[int, int]
+    stage: int
+    hopping: bool
+    again: RerunRequest | None
+    quiet_s: float
+    waiting: tuple[Change, ...]
+    levels: dict[str, tuple[float, ...]]
+    refused: bool
+
+    def revive(self, names: tuple[str, ...]) -> None:
+        """Make the inputs of the beginning, as they were stored, one's own, for a vehicle with these sensors.
+
+        Raises
+        ------
+        ValueError
+            When they are not as many as were kept, or they or what is being learnt from have another form.
+        """
+        if self.beginning is not None:
+            self.beginning = self.beginning.again(names)
+        if (self.beginning.count if self.beginning else (0, 0)) != self.kept:
+            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        for name, listener in self.listeners.items():
+            hop, axes = listener.hop, len(listener.models)
+            if hop is None:
+                continue
+            fits = isinstance(hop.heard, np.ndarray) and hop.heard.ndim == 2 and axes <= len(hop.heard) <= axes + 1
+            left = isinstance(hop.left_out, np.ndarray) and hop.left_out.shape == listener.left_out.shape
+            if not (fits and left and hop.heard.dtype == np.float64 and hop.left_out.dtype.kind == "i"):
+                raise ValueError(f"what the hop of {name!r} learns from has another form")
 
 
 class LearningSchedule:
@@ -255,8 +334,9 @@ class LearningSchedule:
             return None
         if name not in self.listeners:
             return Heard(self._fed_back, self.ear(name), _NO_RING, _NO_CURSOR, None, self.learning_s)
-        ear, own, learns = self.listeners[name].for_kernel()
-        return Heard(self._fed_back, ear, own.ring, own.cursor, own if learns else None, self.learning_s)
+        listener, own = self.listeners[name], self.listeners[name].memory
+        learnt = own if listener.learns else None
+        return Heard(self._fed_back, listener.series_kernel, own.ring, own.cursor, learnt, self.learning_s)
 
     def _due(self, listener: OpenLoopSeries, accepted: bool) -> Sequence[Change]:
         models = listener.learnt() if listener.is_answered else None
@@ -286,8 +366,7 @@ class LearningSchedule:
 
     def learn(self, name: str) -> Sequence[Change]:
         """Something is due after a reading of this sensor, of many that a kernel has taken; as `heard`."""
-        listener = self.listeners[name]
-        return self._due(listener, True)
+        return self._due(self.listeners[name], True)
 
     def _state_reset(self, kind: int) -> None:
         """The state has been reset to what sensors of a kind say: an open loop knows nothing of that step, nor of what
@@ -299,7 +378,11 @@ class LearningSchedule:
                 listener.begin_anew(0.0)
 
     def _relaid(self, M: Array) -> None:
-        self._fed_back = relaid(self._fed_back, M, self.filter.layout.head)
+        """What was fed back, of the head's states that M makes of those before."""
+        told, after = self._fed_back, self.filter.layout.head
+        before, self._fed_back = (len(told) - 3) // 2, np.zeros(2 * after + 3)
+        self._fed_back[:after] = M[:after, :before] @ told[:before]
+        self._fed_back[after : after + 9], self._fed_back[-3:] = told[before : before + 9], told[-3:]
 
     # ---------------------------------------------------------------- at rest
     def _passed(self, samples: Array) -> Sequence[Change]:
@@ -323,17 +406,9 @@ class LearningSchedule:
         """
         if self.beginning is None:
             return math.inf
-        return self._hop_s if self.again is None else self._hop_s + self.AGAIN_AFTER * self._age_s
-
-    @property
-    def _age_s(self) -> float:
-        """Of the present early hop [s]."""
-        return self.EARLY_S[self._stage]
-
-    @property
-    def _hop_s(self) -> float:
-        """When it begins, or its models are to be taken [s]."""
-        return self._start_s + self._age_s + TAKEN_AFTER_S * self._hopping
+        age_s = self.EARLY_S[self._stage]
+        hop_s = self._start_s + age_s + TAKEN_AFTER_S * self._hopping  # it begins, or its models are to be taken
+        return hop_s if self.again is None else hop_s + self.AGAIN_AFTER * age_s
 
     def early(self) -> None:
         """At such a time: have models looked for, or have them adopted. Where another power makes it worth it, `again`
@@ -380,17 +455,18 @@ class LearningSchedule:
         asks = self.fixes or any(listener.constants for listener in self.listeners.values())
         return self.again is not None and bool(asks)
 
-    def is_no_better(self, other: LearningSchedule) -> bool:
-        """Whether a run that has begun again is no better than this one, which goes on then: models that were learnt
-        must predict neither fixes worse, of which nothing is learnt, and which show what the rest makes of the
-        position, nor readings of sensors with constants as states: those models were learnt beside constants as this
-        run estimates them.
+    def is_worse(self, than: Array) -> bool:
+        """Whether a run whose beginning has been done again is worse than it was, by what was fed back then: models
+        that were learnt must predict neither fixes worse, of which nothing is learnt, and which show what the rest
+        makes of the position, nor readings of sensors with constants as states: those models were learnt beside
+        constants as the run before estimates them.
         """
-        if (other._fed_back[-2:] > self._fed_back[-2:] - self.WORSE).all():  # ln of how likely they were
-            return False
+        return not (self._fed_back[-2:] > than[-2:] - self.WORSE).all()  # ln of how likely they were
+
+    def refuse(self) -> None:
+        """The beginning stays as it is."""
         self._quiet_s, self._refused = self.early_s, True
         self._go_on()
-        return True
 
     def _go_on(self) -> None:
         """This early hop is over."""

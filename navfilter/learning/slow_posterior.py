@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navfilter.foundation.arrays import Array, Ints
+from navfilter.foundation.arrays import Array
 from navfilter.learning.likelihood import Likelihood, Point
 from navfilter.learning.settings import EFFORT
 from navfilter.learning.slow_prior import SlowPrior
@@ -112,15 +112,13 @@ def slow_posterior(likelihood: Likelihood, point: Point, known: Mapping[Place, L
     log_taus = np.log(prior.taus_s).tolist()
     # along the ridge of equal driving noise
     guesses = [(here + 0.5 * (log_tau - at), float(sd)) for log_tau in log_taus]
-    lines, best = dict[Place, Line](), _Best()
+    lines, best = dict[Place, Line](), [-math.inf]
     for order in (1, 2):
         searches: dict[Place, tuple[float, Search]] = {}
         for number, log_tau in enumerate(log_taus):
             place, look = (order, number), _Look(prior, order, log_tau, best)
-            if known and place in known:
-                searches[place] = log_tau, look.again(known[place])
-            else:
-                searches[place] = log_tau, look.line(*guesses[number])
+            known_line = known and known.get(place)
+            searches[place] = log_tau, look.again(known_line) if known_line else look.line(*guesses[number])
         if order == 1:
             # none at all: one too small to matter
             look = _Look(prior, 1, log_taus[-1], best)
@@ -151,46 +149,34 @@ def _together(
 
 
 def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
+    """The places of all lines as nodes: how probable each line is, and how that is shared by its places."""
     lines = {place: lines[place] for place in sorted(lines)}
-    tops, shares, begins = _masses(lines, prior)
-    highest = float(tops.max())
     order, number = np.array(list(lines)).T
-    there, sizes, log_sd = order > 0, np.diff(begins), np.concatenate([line.log_sd for line in lines.values()])
-    level = np.exp(np.maximum(tops - highest, -700.0))
+    sizes, there = [line.log_sd.size for line in lines.values()], order > 0
+    begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
+    kind, tau_s = np.repeat(np.maximum(order, 1), sizes), np.repeat(prior.taus_s[number], sizes)
+    evidence = np.maximum(evidence, -1e300)
+    log = evidence + prior.log_density(kind, log_sd, np.log(tau_s))
+    tops = np.maximum.reduceat(log, begins)
+    shares = np.exp(log - np.repeat(tops, sizes))
+    totals = np.add.reduceat(shares, begins)
+    shares /= np.repeat(totals, sizes)
+    tops += np.log(totals * SPACING * np.array([line.sd for line in lines.values()]))
+    absent = prior.log_mass + math.log(max(prior.absent / (1.0 - prior.absent), 1e-300))
+    tops = np.where(there, tops, evidence[begins] + absent)
+    tops -= tops.max()
+    level = np.exp(np.maximum(tops, -700.0))
     level /= level.sum()
-    means = np.add.reduceat(shares * np.exp(2.0 * log_sd), begins[:-1])[there]
+    means = np.add.reduceat(shares * np.exp(2.0 * log_sd), begins)[there]
     return SlowPosterior(
-        {
-            place: line
-            for (place, line), top in zip(lines.items(), tops.tolist(), strict=True)
-            if top > highest - IMPOSSIBLE
-        },
-        order=np.repeat(np.maximum(order, 1.0), sizes),
-        tau_s=np.repeat(prior.taus_s[number], sizes),
+        {place: line for (place, line), top in zip(lines.items(), tops.tolist(), strict=True) if top > -IMPOSSIBLE},
+        order=kind.astype(np.float64),
+        tau_s=tau_s,
         log_sd=log_sd,
         weight=np.repeat(level, sizes) * shares,
-        moments=_between(prior.taus_s, (tops - highest)[there], np.log(means), float(level[there].sum())),
+        moments=_between(prior.taus_s, tops[there], np.log(means), float(level[there].sum())),
     )
-
-
-def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array, Ints]:
-    """Log of the posterior's mass on each line, and how it is shared by its places: those of all lines one behind the
-    other, and where each line begins, with the end of the last.
-    """
-    order, number = np.array(list(lines)).T
-    sizes = [line.log_sd.size for line in lines.values()]
-    begins = np.concatenate([[0], np.cumsum(sizes)])
-    log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
-    log_tau = np.repeat(np.log(prior.taus_s)[number], sizes)
-    log = evidence + prior.log_density(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau)
-    tops = np.maximum.reduceat(log, begins[:-1])
-    shares = np.exp(log - np.repeat(tops, sizes))
-    totals = np.add.reduceat(shares, begins[:-1])
-    tops += np.log(totals * SPACING * np.array([line.sd for line in lines.values()]))
-    odds = prior.absent / (1.0 - prior.absent)
-    absent = prior.log_mass + math.log(max(odds, 1e-300))
-    tops = np.where(order > 0, tops, evidence[begins[:-1]] + absent)
-    return tops, shares / np.repeat(totals, sizes), begins
 
 
 def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
@@ -223,20 +209,14 @@ def _fine(nodes: int) -> tuple[Array, Array]:
     return straight + bent @ bends, straight
 
 
-@dataclass
-class _Best:
-    """The highest log-posterior that lines have found."""
-
-    value: float = -math.inf
-
-
 class _Look:
-    """Looks for the peak of one line, and measures the evidence around it.
+    """Looks for the peak of one line, and measures the evidence around it; `best` is the highest log-posterior that any
+    line has found.
 
     Where minus the log-likelihood is wanted, the methods yield the places, and are sent it.
     """
 
-    def __init__(self, prior: SlowPrior, order: int, log_tau: float, best: _Best) -> None:
+    def __init__(self, prior: SlowPrior, order: int, log_tau: float, best: list[float]) -> None:
         self.evidence: dict[float, float] = {}
         self.low, self.high = (math.log(limit) for limit in prior.sd_limits)
         self.centre, self.spread = prior.centre[0], prior.spread
@@ -265,7 +245,7 @@ class _Look:
     def smallest(self) -> Search:
         """The line of the smallest size there is."""
         evidence = yield from self.along([self.low])
-        return Line(np.array([self.low]), np.maximum(evidence, -1e300), self.low, 1.0)
+        return Line(np.array([self.low]), np.array(evidence), self.low, 1.0)
 
     def line(self, guess: float, sd: float) -> Search:
         """The line around its peak, which is looked for from a guess of place and width."""
@@ -274,10 +254,10 @@ class _Look:
         for _ in range(16):
             below, value, above = yield from self.at(u - step, u, u + step)
             bend, slope = (2.0 * value - below - above) / step**2, 0.5 * (above - below) / step
-            self.best.value = max(self.best.value, value)
-            if bend > 0.0 and value + EFFORT.optimism * 0.5 * slope**2 / bend < self.best.value - IMPOSSIBLE:
+            self.best[0] = max(self.best[0], value)
+            if bend > 0.0 and value + EFFORT.optimism * 0.5 * slope**2 / bend < self.best[0] - IMPOSSIBLE:
                 # no more is to be known of it
-                return Line(np.array([u]), np.maximum((yield from self.along([u])), -1e300), u, sd)
+                return Line(np.array([u]), np.array((yield from self.along([u]))), u, sd)
             if max(below, above) > value:
                 away = math.copysign(2.0 * step, above - below)
                 jump = slope / bend if bend > 0.0 and math.isfinite(bend) else away
@@ -299,7 +279,7 @@ class _Look:
             peak, width = u, step / SPACING  # what has been measured already will do
         places = [peak + k * SPACING * width for k in (WIDE if width > WIDTH else AROUND)]
         evidence = yield from self.along(places)
-        return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
+        return Line(np.array(places), np.array(evidence), peak, width)
 
     def again(self, line: Line) -> Search:
         """The line at the places of another one; looked for from the highest where these do not do."""
@@ -307,9 +287,9 @@ class _Look:
         evidence = yield from self.along(places)
         log = [one + self.log_prior(place) for one, place in zip(evidence, places, strict=True)]
         highest = max(log)
-        top, self.best.value = log.index(highest), max(self.best.value, highest)
+        top, self.best[0] = log.index(highest), max(self.best[0], highest)
         # the sum over places stands for the integral while the curve bends by less than this from one to the next
         near = 0 < top < len(log) - 1 and highest - min(log[top - 1], log[top + 1]) < STEEPEST
         if near and highest - max(log[0], log[-1]) > SHALLOWEST:
-            return line._replace(evidence=np.maximum(evidence, -1e300))
+            return line._replace(evidence=np.array(evidence))
         return (yield from self.line(places[top], line.sd))

@@ -15,6 +15,7 @@ import numpy as np
 
 from navfilter.foundation.arrays import Array, Ints
 from navfilter.models.error_models import CORRELATION_CONSTANTS, Block, ErrorModel, RandomWalk, block_level
+from navfilter.models.learned_arma import LONGEST_SPAN_S, LearnedArma
 from navfilter.models.navigation_drift import Drift
 
 #: The time constant of a data sheet is that of the whole error; its slow part is about twice as slow.
@@ -145,6 +146,16 @@ def slow_prior(
         return SlowPrior(sd * math.sqrt(50.0 * SLOWER * tau_s / span_s), span_s / 50.0, span_s, absent=UNDESCRIBED)
     spread, tau_spread = math.log(within[0]), math.log(within[1])
     return SlowPrior(sd, tau_s, span_s, median=1.0, spread=spread, tau_spread=tau_spread)
+
+
+def believed(part: LearnedArma, period_s: float, kind: ErrorModel | None = None) -> SlowPrior | None:
+    """The prior of the slow error of a part that learns at this period; `kind`: see `slow_prior`."""
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s), part.prior_within, kind)
+
+
+def span_s(part: LearnedArma, period_s: float) -> float:
+    """Time that the window of a learnt part holds, as far as it counts [s]."""
+    return min(part.window * period_s, LONGEST_SPAN_S)
 
 
 def drift_chain(drift: Drift, unit: float) -> Array:

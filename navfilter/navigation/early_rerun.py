@@ -18,7 +18,7 @@ from navfilter.filter.imu_intake import joined
 from navfilter.foundation.arrays import Array
 from navfilter.foundation.state_values import copied
 from navfilter.learning.background import Task, Worker
-from navfilter.learning.learning_memory import LearningMemory, RerunRequest
+from navfilter.learning.schedule import LearningMemory, RerunRequest
 from navfilter.navigation.runner import Rerun, Run
 
 
@@ -76,13 +76,12 @@ class EarlyRerun:
         # while a late reading is put in its place the twin is ahead: it has had what came since
         here = twin is not None and not self._goes_back and twin.again == learning.again
         if twin is None or not here or twin.process != os.getpid():
-            # in place: what runs over this filter goes on with it
-            tried = ShadowRun(nav, learning.again, Worker(threads=False)) if learning.compares else None
-            if tried is None or not learning.is_no_better(tried.arrived().learning):
-                _begin_again(nav, learning.again, learning.early_s, learning.early_s)
+            _in_place(nav, learning.again)
             return
         other = twin.arrived()
-        if not (learning.compares and learning.is_no_better(other.learning)):
+        if learning.compares and other.learning.is_worse(learning.feedback):
+            learning.refuse()
+        else:
             _change_places(nav, other)
         self._worker.later(partial(self._worker.begin, partial(_let_go, twin)))
 
@@ -195,6 +194,27 @@ def _begun(of: Run, learning: LearningMemory, again: RerunRequest, until_s: floa
     twin.learning.memory = learning
     _begin_again(twin, again, until_s, now_s)
     return twin
+
+
+def _in_place(nav: Run, again: RerunRequest) -> None:
+    """Do the beginning again with the very filter, for what runs over it goes on with it; and be again where it was if
+    that is worse.
+    """
+    learning, until_s = nav.learning, nav.learning.early_s
+    before = copied(nav.memory) if learning.compares else None
+    if before is None:
+        _begin_again(nav, again, until_s, until_s)
+        return
+    for one in (*before.learning.listeners.values(), before.learning.rest):
+        if one is not None:
+            one.ring = one.ring.copy()  # copies share it
+    beside = [(part, vars(part).copy()) for part in (nav.history, nav.filter.tape) if part is not None]
+    _begin_again(nav, again, until_s, until_s)
+    if learning.is_worse(before.learning.fed_back):
+        nav.memory = before
+        for part, was in beside:
+            vars(part).update(was)
+        learning.refuse()
 
 
 def _begin_again(nav: Run, again: RerunRequest, until_s: float, now_s: float) -> None:

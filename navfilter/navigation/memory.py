@@ -8,7 +8,7 @@ from navfilter.faults.sensor_monitor import SensorMonitor
 from navfilter.filter.events import Measurement
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.foundation.state_values import misfit
-from navfilter.learning.learning_memory import LearningMemory
+from navfilter.learning.schedule import LearningMemory
 from navfilter.navigation.alternative import AlternativeMemory
 
 

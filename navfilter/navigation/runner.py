@@ -32,6 +32,7 @@ from navfilter.learning.schedule import LearningSchedule
 from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.alternative import Alternative
+from navfilter.navigation.memory import NavigatorMemory
 from navfilter.navigation.recorded_inputs import MeasurementSequence
 from navfilter.navigation.waiting import MeasurementQueue
 
@@ -203,6 +204,8 @@ class Run(Protocol):
         The second filter beside it while its unit is in doubt.
     change_count : int
         Counts all that changes otherwise than by ordinary inputs.
+    memory : NavigatorMemory
+        All that changes in order; setting one goes back (or on) to it.
     """
 
     vehicle: Vehicle
@@ -216,6 +219,7 @@ class Run(Protocol):
     early_rerun: Any
     alternative: Alternative
     change_count: int
+    memory: NavigatorMemory
 
     @property
     def fast_paths(self) -> Mapping[str, Any]:
