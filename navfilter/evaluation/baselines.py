@@ -22,6 +22,7 @@ from navfilter.faults.monitor import FaultMonitor
 from navfilter.filter.actions import Action, Readmit
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
+from navfilter.filter.state_layout import Layout
 from navfilter.foundation.arrays import Array, ArrayLike
 from navfilter.learning.open_loop_series import ChannelSeries
 from navfilter.models.error_models import ErrorModel, Errors, GaussMarkov, RandomWalk, Sum, White, sum_of
@@ -277,6 +278,14 @@ class _AdaptiveMonitor(FaultMonitor):
         super().__init__(vehicle)
         self._rule, self._sensors, self._gated, self._rules = rule, sensors, gated, dict[str, AnyRule]()
         self._limits, self._variance = np.empty(0), np.empty(0)  # of the reading that is being judged
+
+    def room(self, layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
+        """No bank of faults for what uses every reading as it is described."""
+        return super().room(layout, channels) if self._gated else (0, 0)
+
+    def initial_bank(self, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+        """Empty without one."""
+        return super().initial_bank(layout, channels, time_s) if self._gated else np.zeros(0)
 
     def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
         limits, own = super().gate(channel, z, sd, time_s)

@@ -60,13 +60,14 @@ class FaultMonitor:
         imu = self.imu_monitor.initial_memory()
         self.imu_monitor.refer(imu, memory.nav, memory.P)  # what is unknown weighs by it
         channels = {name: SensorFaults() for name in filter.channels}
-        return MonitorMemory(imu, channels, self._bank(filter.layout, filter.channels, memory.time_s))
+        return MonitorMemory(imu, channels, self.initial_bank(filter.layout, filter.channels, memory.time_s))
 
     def room(self, layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
         """Numbers that its bank of faults remembers, and how many more it works with."""
         return fault_bank.room(layout, channels) if self.imu_monitor.active else (0, 0)
 
-    def _bank(self, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+    def initial_bank(self, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+        """Its bank of faults before the first input."""
         return fault_bank.begun(layout, channels, time_s) if self.imu_monitor.active else np.zeros(0)
 
     def restore(self, memory: MonitorMemory, channels: Mapping[str, Channel], room: Array) -> None:
@@ -107,7 +108,9 @@ class FaultMonitor:
         """Its memory where a filter begins anew from the state of another one, with these states."""
         own = filter.memory.monitor
         channels = {name: given.monitor.channels.get(name, known) for name, known in own.channels.items()}
-        result = MonitorMemory(own.imu.copy(), copied(channels), self._bank(layout, filter.channels, memory.time_s))
+        result = MonitorMemory(
+            own.imu.copy(), copied(channels), self.initial_bank(layout, filter.channels, memory.time_s)
+        )
         self.imu_monitor.refer(result.imu, memory.nav, memory.P)
         return result
 
