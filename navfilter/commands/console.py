@@ -6,10 +6,10 @@ import argparse
 import contextlib
 import functools
 import math
-import re
 import select
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,70 +49,36 @@ def count(text: str) -> int:
     return whole(text, 1)
 
 
-#: How an argument is read, by the name that `options.txt` has for it.
+#: How an argument is read, by the name that `arguments.toml` has for it.
 _KINDS: dict[str, Callable[[str], Any]] = {
     "positive": positive, "row_rate": row_rate, "whole": whole, "count": count, "number": float,
 }  # fmt: skip
-#: What other words there say.
-_WORDS: dict[str, dict[str, Any]] = {
-    "+": {"nargs": "+"}, "?": {"nargs": "?"}, "required": {"required": True},
-    "many": {"action": "append", "default": []}, "one": {}, "either": {},
-}  # fmt: skip
-_OPTION = re.compile(r"(?P<names>\S+(?:, \S+)*)(?: (?P<value>\S+))?(?:  \[(?P<how>[^\]]*)\])?(?:  (?P<help>.+))?")
+#: Groups of which one argument, or one at most, may be given: whether one has to be.
+_ALTERNATIVES = {"exactly one": True, "at most one": False}
 
 
 @functools.cache
-def _arguments() -> dict[str, list[str]]:
-    """The lines of `options.txt`, by command."""
-    found = re.split(r"^\[(\w+)\]\n", Path(__file__).with_name("options.txt").read_text("utf-8"), flags=re.MULTILINE)
-    return {name: list(filter(None, text.splitlines())) for name, text in zip(found[1::2], found[2::2], strict=True)}
+def _arguments() -> dict[str, list[dict[str, Any]]]:
+    """What stands in `arguments.toml`, by command."""
+    return tomllib.loads(Path(__file__).with_name("arguments.toml").read_text("utf-8"))
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str, kinds: Mapping[str, Callable[[str], Any]]) -> None:
-    """Give a command the arguments that `options.txt` has for it; `kinds` are ways of reading that only it knows."""
-    shared = {line.split()[0]: line for line in _arguments()["shared"]}
+    """Give a command the arguments that `arguments.toml` has for it; `kinds` are ways of reading that only it knows."""
+    shared = {argument["names"][0]: argument for argument in _arguments()["shared"]}
     groups: dict[str, Any] = {"": parser}
-    title = ""
-    for line in _arguments()[command]:
-        if line[0] != "-" and line.endswith(":"):
-            title = line[:-1]
-            groups[title] = parser.add_argument_group(title)
-            continue
-        option = _OPTION.fullmatch(shared.get(line, line))
-        assert option is not None  # for the type checker: the file is ours
-        words = (option["how"] or "").split()
-        if {"one", "either"} & {*words} and "one of" not in groups:
-            groups["one of"] = parser.add_mutually_exclusive_group(required="one" in words)
-        names, settings = _settings(option, words, kinds)
-        groups["one of" if {"one", "either"} & {*words} else title].add_argument(*names, **settings)
-
-
-def _settings(
-    option: re.Match[str], words: list[str], kinds: Mapping[str, Callable[[str], Any]]
-) -> tuple[list[str], dict[str, Any]]:
-    """Names of an argument, and what else `argparse` is told of it."""
-    names, value = option["names"].split(", "), option["value"]
-    settings: dict[str, Any] = {"help": option["help"]}
-    if not names[0].startswith("-"):
-        names, settings = [], {**settings, "dest": names[0].lower(), "metavar": names[0]}
-    elif names[0].startswith("--[no-]"):
-        names = [names[0].replace("[no-]", "")]
-        settings |= {"action": argparse.BooleanOptionalAction, "default": True}
-    elif names[0].startswith("--no-"):
-        settings |= {"action": "store_false", "dest": names[0].removeprefix("--no-")}
-    elif value is None:
-        settings["action"] = "store_true"
-    else:
-        settings |= {"choices": value[1:-1].split(",")} if value.startswith("{") else {"metavar": value}
-    for word in words:
-        key, equals, text = word.partition("=")
-        if equals:
-            settings |= {"or": {"nargs": "?", "const": text}, "to": {"dest": text}}.get(key, {"default": text})
-        elif word in _WORDS:
-            settings |= _WORDS[word]
-        else:
-            settings["type"] = {**_KINDS, **kinds}[word]
-    return names, settings
+    for argument in _arguments().get(command, []):
+        keywords = dict(shared[argument["names"][0]] if len(argument) == 1 else argument)
+        names, group = keywords.pop("names"), keywords.pop("group", "")
+        if group not in groups and group in _ALTERNATIVES:
+            groups[group] = parser.add_mutually_exclusive_group(required=_ALTERNATIVES[group])
+        elif group not in groups:
+            groups[group] = parser.add_argument_group(group)
+        if "type" in keywords:
+            keywords["type"] = {**_KINDS, **kinds}[keywords["type"]]
+        if keywords.get("action") == "boolean_optional":
+            keywords["action"] = argparse.BooleanOptionalAction
+        groups[group].add_argument(*names, **keywords)
 
 
 def speaker(quiet: bool) -> Callable[[str], None]:
