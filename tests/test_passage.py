@@ -137,8 +137,8 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
     monkeypatch.setattr(runner.BatchRunner, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
     monkeypatch.setattr(runner.Rerun, "run", lambda self: begun.append(self) or again(self))
     together, nav = _replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
-    # by a twin first, whose fixes are compared
-    assert reasons.count(kernels.LEARN) >= 6 and len(begun) >= 4 and together.counts["adopted"] > 6
+    # once each time that models ask for it
+    assert reasons.count(kernels.LEARN) >= 6 and len(begun) >= 2 and together.counts["adopted"] > 6
     calls = len(reasons)
     one_by_one(monkeypatch)
     alone, other = _replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
