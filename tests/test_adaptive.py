@@ -223,6 +223,7 @@ def test_without_a_gate_every_reading_is_used(name):
         monitor = adaptive_monitor(vehicle, RULES[name], gated=gated)
         nav = nf.Navigator(vehicle, start, history_s=0.0, monitor=monitor)
         nav.step(0.01, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
+        assert (nav.filter.bank.size > 0) == gated  # of what is used as described nothing is found
         said[gated] = nav.correct("depth", 0.01, 50.0).status
     assert said == {True: "rejected", False: "used"}
 
