@@ -20,6 +20,7 @@ from navfilter.models.fault_bias import (
     FaultBias,
     FaultCurrent,
     FaultScale,
+    FaultTurn,
     currents,
     descriptions,
     has_offset,
@@ -194,7 +195,7 @@ def test_what_was_found_of_a_description_outlives_a_jump():
     described = with_description((nf.White(sd=0.01),) * 3, {0: 2.0, 3: 1.0})
     jumped = with_offsets(described, 0.1, at_m_s=2.0)
     assert has_offset(jumped) and not has_offset(described)
-    assert with_offsets(jumped) == described and descriptions(jumped, 0.25) == [(0, 0), (1, 3)]
+    assert with_offsets(jumped) == described and descriptions(jumped, 0.25) == [(0, 0), (1, 3), (6, 6)]
     assert unfaulted(jumped) == (nf.White(sd=0.01),) * 3
 
 
@@ -202,9 +203,8 @@ def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
     """And what moves with the bottom goes with no turn of the vehicle."""
     opened = with_offsets((nf.White(sd=0.01),) * 3, 0.1, at_m_s=2.0)
     assert opened[1] == nf.White(sd=0.01) + FaultBias(start_sd=0.1)
-    assert opened[0] == opened[1] + FaultScale(start_sd=0.1, at_m_s=2.0) + FaultCurrent(start_sd=0.1) + FaultCurrent(
-        start_sd=0.1, component=1
-    )
+    flows = FaultCurrent(start_sd=0.1) + FaultCurrent(start_sd=0.1, component=1)
+    assert opened[0] == opened[1] + FaultScale(start_sd=0.1, at_m_s=2.0) + flows + FaultTurn(start_sd=0.05)
     assert proportions(opened, 0.25) == [(1, 2.0)] and currents(opened, 0.25) == [(2, 0), (3, 1)]
     vehicle, mission = dive()
     filter = nf.Navigator(vehicle.with_error(dvl=opened), mission.start).filter
@@ -220,7 +220,9 @@ def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
     np.testing.assert_allclose(channel.near[:, 3:6], 1.05 * about_z, atol=1e-15)
     # a bottom that goes north is read the other way, in the axes of the instrument
     np.testing.assert_allclose(channel.C[:, 2:4], -1.05 * about_z[:, :2], atol=1e-15)
-    read(filter, channel, [0.0, 0.0, 0.0], mission.start.state.pack(), x)
+    x[at + 4] = 0.1
+    state = dataclasses.replace(mission.start.state, velocity_n=np.zeros(3))
+    read(filter, channel, [0.0, 0.0, 0.0], state.pack(), x)
     assert not (channel.C @ x[at:]).any()
 
 

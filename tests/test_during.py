@@ -47,7 +47,7 @@ def test_a_mounting_that_was_changed_is_undone(dive):
     said = During("dvl", from_s=150.0, keys={"mounting_deg": (0.0, 0.0, 5.0)}, why="service")
     plain, wrong, right = (replay(vehicle, m, output_rate_hz=1.0) for m in (mission, turned, with_during(turned, said)))
     error = [float(np.sqrt(np.mean(t.errors(mission.truth).velocity_n[:, :2] ** 2))) for t in (plain, wrong, right)]
-    assert error[2] < 1.2 * error[0] < 0.5 * error[1]
+    assert error[2] < 1.2 * error[0] < error[1]  # what is not said is found, but later, and not as well
     assert right.residuals["dvl@2"].time_s[0] >= 150.0 > right.residuals["dvl"].time_s[-1]
     assert str(said) == "dvl from 150 to the end: mounting_deg = [0.0, 0.0, 5.0] (service)"
 

@@ -77,6 +77,18 @@ class FaultCurrent(FaultBias):
 
 
 @dataclass(frozen=True)
+class FaultTurn(FaultBias):
+    """What a velocity sensor was found to be off by, as far as it has been turned about the axis down: at a steady
+    speed that looks like a constant to the side.
+
+    Parameters
+    ----------
+    start_sd : float
+        Of the angle [rad].
+    """
+
+
+@dataclass(frozen=True)
 class FaultDescription(FaultBias):
     """By how much a velocity sensor was found to be described wrongly: no jump, for it has no beginning.
 
@@ -146,8 +158,9 @@ def currents(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int,
 
 
 def descriptions(models: tuple[ErrorModel, ...], period_s: float) -> list[tuple[int, int]]:
-    """State and component of each `FaultDescription`."""
-    return [(at, part.component) for _, at, part in _places(models, period_s) if isinstance(part, FaultDescription)]
+    """State and component of each `FaultDescription`; of a `FaultTurn`, 6."""
+    found = ((at, getattr(part, "component", 6), part) for _, at, part in _places(models, period_s))
+    return [(at, component) for at, component, part in found if isinstance(part, FaultDescription | FaultTurn)]
 
 
 def with_description(models: tuple[ErrorModel, ...], sds: Mapping[int, float]) -> tuple[ErrorModel, ...]:
@@ -194,6 +207,7 @@ def with_offsets(
     if at_m_s:
         flows = () if only is not None else [FaultCurrent(start_sd=size, component=i) for i in range(2)]
         of_all = FaultScale(start_sd=min(size, SCALE * at_m_s), at_m_s=at_m_s), *flows
+        of_all = (*of_all, FaultTurn(start_sd=size / at_m_s)) if only is None else of_all
         opened[0] = sum(of_all, start=opened[0])
     return tuple(opened)
 
