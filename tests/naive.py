@@ -2332,7 +2332,7 @@ def carry(bank, Phi, first):
     D[first : first + len(Phi)] = Phi @ D[first : first + len(Phi)]
 
 
-def _larger(own):
+def larger(own):
     correlation = np.clip(own[fault_bank.PRODUCT] / own[fault_bank.SQUARE], 0.0, fault_bank.CORRELATED)
     return max(own[fault_bank.SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
 
@@ -2358,7 +2358,7 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
     if counts:
         own, sd = heard[channel], np.sqrt(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
         before = own[fault_bank.BEFORE :]
-        share = np.repeat(1.0 / np.sqrt(np.where(before > 0.0, before, _larger(own))), len(table))
+        share = np.repeat(1.0 / np.sqrt(np.where(before > 0.0, before, larger(own))), len(table))
         own[fault_bank.READINGS] += 1.0
         few = np.arange(min(a, fault_bank.AXES))
         own[fault_bank.SUMS + few] += np.where(seen, y / sd, 0.0)[few]
@@ -2389,7 +2389,9 @@ def judged(bank, window, k, time_s, out):
 def begin_window(bank, window, time_s):
     onsets, table, D, s, J, more, heard = _bank(bank)
     for row in heard:
-        row[fault_bank.BEFORE + window] = _larger(row) if row[fault_bank.TOLD] >= fault_bank.SETTLED else 0.0
+        row[fault_bank.BEFORE + window] = (
+            larger(row) if row[fault_bank.TOLD] >= fault_bank.DOUBTED + fault_bank.CONFIRMED else 0.0
+        )
     own = window * len(table) + np.arange(len(table))
     onsets[window], s[own], more[own], D[:, own], J[own], J[:, own] = time_s, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in np.flatnonzero(table[:, fault_bank.KIND] == fault_bank.STATE):

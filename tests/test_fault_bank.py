@@ -8,11 +8,12 @@ import naive
 import numpy as np
 import pytest
 from kernel_inputs import assert_close, random_nav, run_both, spd
+from scipy.stats import multivariate_normal
 from state_differences import differences
 from test_agreement import altered, feed, fly
 
 import navfilter as nf
-from navfilter.faults import fault_bank
+from navfilter.faults import fault_bank, settings
 from navfilter.filter.model_change import Change
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
@@ -77,6 +78,48 @@ def test_after_the_dive_fixes_tell_of_a_bottom_that_moved(mems):
     nees = np.einsum("ki,kij,kj->k", horizontal, np.linalg.inv(P[:, :2, :2]), horizontal) / 2.0
     assert track.counts["jumped"] >= 1 and np.mean(nees) < 2.0  # 100 and more where the velocity is believed
     assert np.abs(errors.velocity_n[late, :2]).max() < 0.15  # of 0.25
+
+
+def test_a_bank_that_begins_again_knows_the_error_models_that_innovations_have_told():
+    """Else what fixes say after the dive is doubted as if nobody had heard one before."""
+    vehicle, mission = long_dive()
+    filter = fly(vehicle, mission.between(0.0, 130.0))[0].filter
+    heard = fault_bank.parts(filter.memory.monitor.bank)[6].copy()
+    assert (heard[:, kernels.TOLD] > kernels.DOUBTED + kernels.CONFIRMED).all()
+    filter.monitor.begin_again(filter, filter.memory.monitor)
+    onsets, *_, after = fault_bank.parts(filter.memory.monitor.bank)
+    assert (onsets == filter.memory.time_s).all()
+    np.testing.assert_array_equal(after[:, : kernels.BEFORE], heard[:, : kernels.BEFORE])
+    assert (after[:, kernels.BEFORE :] >= 1.0).all()
+
+
+def test_a_fix_that_is_refused_tells_the_size_of_the_fault_that_explains_it_and_no_other():
+    """As a reading of the fault, with the state as uncertain as it was when the fix was refused."""
+    vehicle, mission = long_dive(350.0)
+    filter = fly(vehicle, mission.between(0.0, 330.0))[0].filter
+    gps, bank = filter.channels["gps"], filter.memory.monitor.bank
+    table = fault_bank.parts(bank)[1]
+    window = kernels.WINDOWS - 1
+    flow = int(np.flatnonzero(table[:, kernels.KIND] == kernels.FLOW_STEP)[0])
+    _, _, D, s, J, more, heard = fault_bank.parts(bank)
+    s[:], J[:], more[:] = 0.0, 0.0, 0.0
+    heard[:, kernels.BEFORE :] = 1.0
+    at = window * len(table) + flow + np.arange(2)
+    G = gps.H @ D[:, at]
+    a, size = gps.axes, np.array([0.4, -0.2])
+    gps.note[3 : 3 + a], gps.note[3 + a : 3 + 2 * a] = G @ size, 1.0
+    fault_bank.note_jump(filter, gps, filter.memory.time_s)
+    S = gps.S[:a]
+    np.testing.assert_allclose(J[np.ix_(at, at)], G.T @ np.linalg.solve(S, G), rtol=1e-9)
+    np.testing.assert_allclose(s[at], G.T @ np.linalg.solve(S, G) @ size, rtol=1e-9)
+    begins = np.arange(kernels.WINDOWS)[:, None] * len(table) + np.flatnonzero(table[:, kernels.TOGETHER])
+    silent = begins[more[begins] == 0.0]
+    assert 0 < len(silent) < begins.size and not J[silent].any() and not s[silent].any()
+    rare = math.log(settings.FAULTS_PER_S * max(filter.memory.time_s - gps.memory.used_s, gps.period_s))
+    likely = [
+        multivariate_normal(np.zeros(a), S + off**2 * np.eye(a)).logpdf(G @ size) for off in (0.0, settings.JUMP_M)
+    ]
+    assert more[at[0]] == pytest.approx(likely[0] - likely[1] - rare)
 
 
 def test_a_compass_that_runs_away_is_told_from_the_gyros():

@@ -283,9 +283,11 @@ class _AdaptiveMonitor(FaultMonitor):
         """No bank of faults for what uses every reading as it is described."""
         return super().room(layout, channels) if self._gated else (0, 0)
 
-    def initial_bank(self, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+    def initial_bank(
+        self, layout: Layout, channels: Mapping[str, Channel], time_s: float, before: Array | None = None
+    ) -> Array:
         """Empty without one."""
-        return super().initial_bank(layout, channels, time_s) if self._gated else np.zeros(0)
+        return super().initial_bank(layout, channels, time_s, before) if self._gated else np.zeros(0)
 
     def gate(self, channel: Channel, z: Array, sd: ArrayLike | None, time_s: float) -> tuple[Array, Array]:
         limits, own = super().gate(channel, z, sd, time_s)

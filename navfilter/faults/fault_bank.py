@@ -77,14 +77,18 @@ def room(layout: Layout, channels: Mapping[str, Channel], count: int | None = No
     return remembered, most * WINDOWS * c
 
 
-def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
-    """A bank whose windows all begin now."""
+def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float, before: Array | None = None) -> Array:
+    """A bank whose windows all begin now; what innovations have told the one before of error models is not lost."""
     table = signatures(layout, list(channels.values()))
     bank = np.zeros(room(layout, channels, len(table))[0])
     if not bank.size:
         return bank
     bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s
-    parts(bank)[6][:, [kernel.SQUARE, kernel.TOLD]] = kernel.DOUBLED, kernel.DOUBTED
+    heard = parts(bank)[6]
+    if before is not None and before.size and before[kernel.CHANNELS] == len(heard):
+        heard[:] = parts(before)[6]
+    else:
+        heard[:, [kernel.SQUARE, kernel.TOLD]] = kernel.DOUBLED, kernel.DOUBTED
     parts(bank)[1][:] = table
     for w in range(WINDOWS):
         kernel.begin_window(bank, w, time_s)
@@ -110,7 +114,7 @@ def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Ch
     """
     table = signatures(layout, list(channels.values()))
     if not bank.size or len(table) != bank[kernel.SIGNATURES]:
-        return begun(layout, channels, time_s)
+        return begun(layout, channels, time_s, bank)
     head, (onsets, _, D, *told) = bank[: kernel.ONSETS].copy(), parts(bank)
     head[kernel.STATES] = layout.size
     return np.concatenate([part.ravel() for part in (head, onsets, table, M @ D, *told)])
@@ -150,7 +154,7 @@ def judge(filter: FilterState) -> Iterator[Action]:
         return
     bank[kernel.ODDS] = -math.inf
     if memory.monitor.is_busy:  # what stands in place of an axis is not what the filter thinks it is
-        bank[:] = begun(filter.layout, filter.channels, memory.time_s)
+        bank[:] = begun(filter.layout, filter.channels, memory.time_s, bank)
         return
     onsets, table, _, s, J = parts(bank)[:5]
     begins = np.flatnonzero(table[:, kernel.TOGETHER] > 0.0)
@@ -200,28 +204,38 @@ def judge(filter: FilterState) -> Iterator[Action]:
 
 
 def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
-    """Note that the position is set to a fix that was refused: a fault that leads it so far away has become likelier.
+    """Note that the position is set to a fix that was refused: faults that lead it so far away have become likelier,
+    and their sizes are told by it.
 
-    Without a fault fixes or position have jumped since the last one that was used, which is as rare as a fault.
+    Without a fault fixes or position have jumped since the last one that was used, which is as rare as a fault. To a
+    fault that does not explain the fix it says nothing: that may have jumped beside it.
     """
     bank = filter.memory.monitor.bank
     if not bank.size or channel.sensor.observes is not Observable.FIX:
         return
-    onsets, table, D, _, _, more, _ = parts(bank)
+    onsets, table, D, s, J, more, heard = parts(bank)
     a, known = channel.axes, np.isfinite(channel.note[3 + channel.axes :])
     y, S, G = channel.note[3 : 3 + a][known], channel.S[:a][np.ix_(known, known)], channel.H[known] @ D
     rare = math.log(settings.FAULTS_PER_S * max(time_s - channel.memory.used_s, channel.period_s))
-
-    def likely(spread: Array) -> float:
-        return float(-0.5 * (y @ np.linalg.solve(S + spread, y) + np.linalg.slogdet(S + spread)[1]))
-
-    jumped = likely(settings.JUMP_M**2 * np.eye(len(y)))
+    own, told = heard[[*filter.channels].index(channel.name)], np.zeros_like(G)
     for w, onset_s in enumerate(onsets):
         V = table[:, kernel.VARIANCE] / np.where(_grows(table), max(time_s - onset_s, 1.0), 1.0) ** 2
+        larger = own[kernel.BEFORE + w] or kernel.larger(own)
+
+        def likely(left: Array, spread: Array, S: Array = larger * S) -> float:
+            return float(-0.5 * (left @ np.linalg.solve(S + spread, left) + np.linalg.slogdet(S + spread)[1]))
+
+        jumped = likely(y, settings.JUMP_M**2 * np.eye(len(y))) + rare
         for k in np.flatnonzero(table[:, kernel.TOGETHER] > 0.0):
-            own = np.arange(k, k + int(table[k, kernel.TOGETHER]))
-            by = G[:, w * len(table) + own]
-            more[w * len(table) + k] += max(min(likely(by * V[own] @ by.T) - jumped, 0.0) - rare, 0.0)
+            of = np.arange(k, k + int(table[k, kernel.TOGETHER]))
+            at = w * len(table) + of
+            M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(1.0 / V[of]))
+            by = G[:, at]
+            if likely(y - by @ M @ s[at], by @ M @ by.T) > jumped:
+                told[:, at] = by / math.sqrt(larger)
+                s[at] += by.T @ np.linalg.solve(larger * S, y)
+                more[at[0]] += likely(y, np.zeros_like(S)) - jumped
+    J += told.T @ np.linalg.solve(S, told)
 
 
 def _grows(table: Array) -> NDArray[np.bool_]:

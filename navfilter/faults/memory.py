@@ -14,7 +14,6 @@ from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
 from navfilter.faults.imu.monitor import CONDITIONS
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.sensor_bias import RejectionRun
-from navfilter.faults.settings import UNDISPUTED_S
 from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.kernels import fault_bank, imu_checks
@@ -103,7 +102,7 @@ class SensorFaults:
     @property
     def undisputed(self) -> bool:
         """Whether it was right for long, until it was refused last."""
-        return not self.rejected_since_s - self.disputed_s <= UNDISPUTED_S
+        return not self.rejected_since_s - self.disputed_s <= settings.UNDISPUTED_S
 
     @property
     def astray(self) -> bool:

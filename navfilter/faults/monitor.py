@@ -66,9 +66,11 @@ class FaultMonitor:
         """Numbers that its bank of faults remembers, and how many more it works with."""
         return fault_bank.room(layout, channels) if self.imu_monitor.active else (0, 0)
 
-    def initial_bank(self, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
+    def initial_bank(
+        self, layout: Layout, channels: Mapping[str, Channel], time_s: float, before: Array | None = None
+    ) -> Array:
         """Its bank of faults before the first input."""
-        return fault_bank.begun(layout, channels, time_s) if self.imu_monitor.active else np.zeros(0)
+        return fault_bank.begun(layout, channels, time_s, before) if self.imu_monitor.active else np.zeros(0)
 
     def restore(self, memory: MonitorMemory, channels: Mapping[str, Channel], room: Array) -> None:
         """Let every channel have what is remembered of its sensor, and the kernels the bank of faults."""
@@ -92,7 +94,7 @@ class FaultMonitor:
     def begin_again(self, filter: FilterState, memory: MonitorMemory) -> None:
         """What innovations have told of slow faults is of another state."""
         if memory.bank.size:
-            memory.bank[:] = fault_bank.begun(filter.layout, filter.channels, filter.memory.time_s)
+            memory.bank[:] = fault_bank.begun(filter.layout, filter.channels, filter.memory.time_s, memory.bank)
 
     def problem(self, memory: MonitorMemory, fresh: MonitorMemory, channels: Mapping[str, Channel]) -> str | None:
         """What is wrong with a memory that came from outside, in words; None when nothing is."""
@@ -108,9 +110,8 @@ class FaultMonitor:
         """Its memory where a filter begins anew from the state of another one, with these states."""
         own = filter.memory.monitor
         channels = {name: given.monitor.channels.get(name, known) for name, known in own.channels.items()}
-        result = MonitorMemory(
-            own.imu.copy(), copied(channels), self.initial_bank(layout, filter.channels, memory.time_s)
-        )
+        bank = self.initial_bank(layout, filter.channels, memory.time_s, given.monitor.bank)
+        result = MonitorMemory(own.imu.copy(), copied(channels), bank)
         self.imu_monitor.refer(result.imu, memory.nav, memory.P)
         return result
 

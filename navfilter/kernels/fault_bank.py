@@ -51,9 +51,8 @@ HEARD = BEFORE + WINDOWS
 # Before anything is told an error may be twice as large as described, as by so many looks; it is told by so many looks
 # at most, each of which says no more than so many sds; none is correlated with the next by more than that. (chosen)
 DOUBLED, DOUBTED, MEMORY, MOST, CORRELATED = 4.0, 5.0, 60.0, 10.0, 0.98
-# After so many looks it is told. (chosen)
-SETTLED = 20.0
-# Until so many looks what innovations tell is of the start: a minute, as sensors confirm it. (chosen)
+# Until so many looks what innovations tell is of the start: a minute, as sensors confirm it. After as many an error
+# model is told. (chosen)
 CONFIRMED = 6
 # Share of the time that the truth may lie beyond a bound [1], see `navfilter.faults.settings`.
 RISK = 1e-3
@@ -96,7 +95,7 @@ def _moves(Phi, i):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _larger(own):
+def larger(own):
     """How much larger the variance of a long sum of innovations is than that of white ones of their sd."""
     correlation = max(0.0, min(own[PRODUCT] / own[SQUARE], CORRELATED))
     return max(own[SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
@@ -144,7 +143,7 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
                 aged = kind in (RAMP, FLOW_RAMP)
                 row[w * c + k] += unit * (time_s - bank[ONSETS + w]) if aged else unit
     if counts:
-        now, half = _larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
+        now, half = larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
         own[READINGS] += 1.0
         for i in range(a):
             weighted(mem[iS + (a + i) * a : iS + (a + i + 1) * a], G, Z[i])
@@ -229,7 +228,7 @@ def begin_window(bank, window, time_s):
     bank[ONSETS + window] = time_s
     for i in range(int(bank[CHANNELS])):
         own = bank[heard + i * HEARD :][:HEARD]
-        own[BEFORE + window] = _larger(own) if own[TOLD] >= SETTLED else 0.0
+        own[BEFORE + window] = larger(own) if own[TOLD] >= DOUBTED + CONFIRMED else 0.0
     D = shaped(bank[begin:score], n, WINDOWS * c)
     for i in range(n):
         for k in range(c):
