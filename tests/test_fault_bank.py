@@ -18,7 +18,7 @@ from navfilter.filter.model_change import Change
 from navfilter.kernels import fault_bank as kernels
 from navfilter.kernels import kalman
 from navfilter.models.during import During
-from navfilter.models.fault_bias import with_offsets
+from navfilter.models.fault_bias import has_offset, with_offsets
 from navfilter.models.learned_arma import LearnedArma
 from navfilter.models.state import matrix_from_euler
 from navfilter.navigation import runner
@@ -133,6 +133,21 @@ def test_a_compass_that_runs_away_is_told_from_the_gyros():
     assert np.all(np.abs(errors.heading) <= track.bounds[:, 1])
     distance = np.hypot(*errors.position_n[:, :2].T)
     assert np.mean(distance <= track.bounds[:, 0]) > 0.99
+
+
+@pytest.mark.parametrize("deg_s", [0.1, 0.2])
+def test_an_explanation_that_is_put_in_force_beside_another_stays_until_it_is_disproved(deg_s):
+    """A compass that runs away, or a gyro that drifts: a reading later nothing has told the two apart."""
+    vehicle, mission = long_dive(mems=True)
+    stream = mission.streams["compass"]
+    off = np.clip(deg_s * DEG * (stream.time_s - SHIFT_S), 0.0, 20.0 * DEG)
+    wrong = mission.with_stream("compass", nf.Stream(stream.time_s, stream.value + off[:, None], stream.columns))
+    track = nf.replay(vehicle, wrong, output_rate_hz=1.0)
+    (_, before), (adopted_s, models) = track.error_models["compass"]
+    assert has_offset(models) and not has_offset(before)
+    errors, late = track.errors(mission.truth), track.time_s > adopted_s + 60.0
+    assert np.mean(track.nees(errors)["heading"][late]) < 8.0  # 1,700 and more where it is taken away at once
+    assert np.all(np.abs(errors.heading) <= track.bounds[:, 1])
 
 
 @pytest.mark.parametrize("error", [nf.White(sd=0.6 * DEG), nf.GaussMarkov(sd=0.3 * DEG, tau_s=30.0)])

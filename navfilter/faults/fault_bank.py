@@ -185,6 +185,8 @@ def judge(filter: FilterState) -> Iterator[Action]:
         if not all(_state(*own[k]) for k in mine):
             known, off = now[mine] * np.sqrt(np.diag(M))[mine], now[mine] * np.sqrt(m**2 + np.diag(M))[mine]
             wanders = float(np.linalg.norm(off[grows[mine]])) / math.sqrt(age_s)
+            of = table[begins, kernel.CHANNEL] == i
+            channel.faults.odds = max(odds[window, of].max() - max(odds[window, ~of].max(), 0.0), 0.0) + kernel.GONE
             yield Adopt(Change(channel.name, _opened(filter, channel, float(known.max()), wanders), offsets=True))
         yield Count("jumped")
     bank = memory.monitor.bank

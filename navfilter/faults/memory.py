@@ -67,6 +67,9 @@ class SensorFaults:
         Since when its value has been the same, and when it came again last [s].
     either : bool
         Of a depth gauge with a constant: that may as well be the state's (`heights`).
+    odds : float
+        Of one to which the bank has given constants: how much likelier than not these have to become before they are
+        taken away, by how much likelier they were than any other explanation [nat].
     """
 
     rejected_since_s: float = math.nan
@@ -89,6 +92,7 @@ class SensorFaults:
     same_s: float = math.nan
     again_s: float = math.nan
     either: bool = False
+    odds: float = 0.0
 
     @property
     def agrees(self) -> bool:

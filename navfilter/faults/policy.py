@@ -402,7 +402,7 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
     if sensor_bias.is_gauge(channel) and refused.back < settings.RUN_LEAST and may_be(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
         return
-    kept.either, kept.evidence = False, None
+    kept.either, kept.evidence, kept.odds = False, None, 0.0
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, sensor_bias.offset_places(channel)
     kept.aside = (

@@ -350,7 +350,8 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
 
 def is_none(channel: Channel, x: Array, P: Array) -> bool:
     """Whether a sensor that has jumped rather has no constants: each of them, if it were the only one, has more density
-    at zero than when it was put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971).
+    at zero than when it was put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971), by more than
+    the odds at which that was done.
 
     Parameters
     ----------
@@ -364,7 +365,7 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
     shares, axes = np.linalg.eigh(P[np.ix_(places, places)] / np.outer(sds, sds))
     information = axes / np.maximum(shares, np.finfo(float).eps) @ axes.T  # as shares of those at first
     told, alone = information @ (x[places - 9] / sds), np.diag(information)
-    return bool((np.log(alone) > told**2 / alone).all())
+    return bool((np.log(alone) > told**2 / alone + 2.0 * channel.faults.odds).all())
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:

@@ -35,8 +35,9 @@ KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, READ, TABLE = range(8)
 # How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
 # against; a step or a drift of a state of the drive.
 STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT = range(6)
-# A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand. (chosen)
-BELIEVED = 10.0
+# A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand; and believed to be
+# none where that is so much likelier than the fault: one in twenty. (chosen)
+BELIEVED, GONE = 10.0, 3.0
 # Windows: the onset of each is moved on half as often as that of the one before, the first at every other look, the
 # last after eleven minutes. (chosen)
 WINDOWS = 6
