@@ -15,22 +15,16 @@ from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def _multiply(A, B, out):
-    """`product`, compiled once."""
-    product(A, B, out)
-
-
-@njit(apart=True, cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
     """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
     columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
-    _multiply(acc[:9], P[:m], T)
+    product(acc[:9], P[:m], T)
     for i in range(9):
         for j in range(m):
             A[j, i] = T[i, j]
-    _multiply(acc[:9], A, head)
+    product(acc[:9], A, head)
     consistency.arc_term(P, head)
 
 
@@ -700,7 +694,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = Phi[j, i]
-    _multiply(C, L[:9], T)
+    product(C, L[:9], T)
     for r in range(9, m):
         for i in range(m):
             f = Phi[r, i]
@@ -710,7 +704,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = T[i, j]
-    _multiply(C, Phi[:9], A)
+    product(C, Phi[:9], A)
     for r in range(9, m):
         for j in range(m):
             f = Phi[r, j]
@@ -737,8 +731,8 @@ def _head_transposed(L, lam, Phi, work):
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
-    _multiply(P, L, T)
-    _multiply(T, P, cov)
+    product(P, L, T)
+    product(T, P, cov)
     for i in range(n):
         s = 0.0
         for j in range(n):

@@ -18,8 +18,8 @@ import math
 import numpy as np
 
 from navfilter.kernels.compiling.decorators import COUNTED, UNCOUNTED, flat, njit, scratch
-from navfilter.kernels.compiling.registers import all_of, load, store, times
-from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
+from navfilter.kernels.compiling.registers import all_of, eight, exchange, if_below, load, put, store, times, transpose
+from navfilter.kernels.compiling.vectors import COLUMNS, build_panels
 
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
 EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
@@ -477,15 +477,11 @@ def _tick_rows(X, Phid, diagonal, T, moving):
 def _transpose(X, m):
     """Of a matrix in panels, as many as there are, in place."""
     size, square = _high(m) * WIDE, WIDE * WIDE
-    last = X.size // size - 1
-    for p in range(last + 1):
+    for p in range(X.size // size):
         for q in range(p):
             # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
-            lower, upper = q * size + p * square, p * size + q * square
-            exchange(X, lower, upper, upper, lower)
-    for p in range(0, last + 1, 2):
-        one, other = p * (size + square), min(p + 1, last) * (size + square)
-        exchange(X, one, other, one, other)
+            exchange(X, q * size + p * square, int(WIDE), X, p * size + q * square, int(WIDE))
+        transpose(X, p * (size + square), int(WIDE), X, p * (size + square), int(WIDE))
 
 
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
@@ -662,11 +658,12 @@ def _to_panels(M, X, m, moving):
     """
     high = _high(moving)
     for column in range(0, X.size // high, WIDE):
-        begin, known = column * high, min(WIDE, m - column)
+        begin, known = column * high, float(m - column)
         for i in range(moving):
-            copy_row(X, M, begin + i * WIDE, i * m + column, known)
+            row = eight(M, i * m + column)
+            put(X, begin + i * WIDE, if_below(eight(COLUMNS, 0), all_of(known), row, all_of(0.0)))
         for i in range(moving, high):
-            copy_row(X, M, begin + i * WIDE, int(0), int(0))
+            put(X, begin + i * WIDE, all_of(0.0))
 
 
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
@@ -674,11 +671,10 @@ def _from_panels(X, M, m, moving):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space, or
     begins the row of a constant, with zeros.
     """
-    high, whole = _high(moving), int(WIDE)
-    columns = X.size // high
+    high = _high(moving)
     for i in range(moving):
-        for column in range(0, columns, WIDE):
-            copy_row(M, X, i * m + column, column * high + i * WIDE, whole)
+        for column in range(0, X.size // high, WIDE):
+            put(M, i * m + column, eight(X, column * high + i * WIDE))
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
