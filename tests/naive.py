@@ -2205,18 +2205,6 @@ IN_HAND = {
 TABLES = ["P", "acc", "Phid", "Qd", "Cr", "ring", "heads", "values", "watch", "piece", "plan"]
 
 
-def rows_of_text(values, digits, marks, given, begin, out):
-    text = b""
-    for k in range(begin, values.size):
-        row, column = divmod(k, digits.size)
-        form = f"%.{digits[column]}f" if digits[column] >= 0 else f"%.{-digits[column]}g"
-        text += given.tobytes() if k == begin and given.size else (form % values[k]).encode()
-        text += b"," + marks[row].tobytes() if column == 0 and marks.size else b""
-        text += b"," if column < digits.size - 1 else b"\n"
-    out[: len(text)] = np.frombuffer(text, np.uint8)
-    return values.size, len(text)
-
-
 # ---------------------------------------------------------------- noise that is larger than described
 
 
