@@ -46,16 +46,8 @@ OFTEN, KNOWN_SAMPLES, REPEATS_SAMPLES, COUNTED_PERIODS = 0.1, 100.0, 2000.0, 5.0
 MOST_TURN, MOST_ACCELERATION, SCATTER_RAD, SCATTER_M_S, MOST_ODD = 1.5, 5.0, 0.1, 0.5, 2.0
 GAP_TURN = 0.35  # what a vehicle turns by unseen: 0.2 rad/s for some 3 s [rad/sqrt(s)]
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
-HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = (
-    40,
-    41,
-    42,
-    43,
-    44,
-    47,
-    56,
-    59,
-)
+HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING = 40, 41, 42, 43, 44, 47
+LEVER_VELOCITY, PREVIOUS_RPY = 56, 59
 MAX_SPEED, ZERO_IS_VALID = 62, 63
 TURN_RATE = 64
 # Dead reckoning whose clocks or lever arm are states: their places among the drive's states (-1: none); how fast the
@@ -926,15 +918,21 @@ def _steady(drv, samples, n, blind, missing):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _attitude(roll, pitch, yaw, C):
+    """C_nb of these angles, row by row; returns cosine and sine of the last."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    C[0], C[1], C[2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+    C[3], C[4], C[5] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+    C[6], C[7], C[8] = -sp, sr * cp, cr * cp
+    return cy, sy
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _steady_attitude(drv):
     """The attitude that slopes see, into drv; how it has turned is there before."""
-    roll, pitch, psi = drv[STEADY], drv[STEADY + 1], drv[STEADY + 2] + drv[DECLINATION]
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(psi), math.sin(psi)
-    at = STEADY_C
-    drv[at], drv[at + 1], drv[at + 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
-    drv[at + 3], drv[at + 4], drv[at + 5] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
-    drv[at + 6], drv[at + 7], drv[at + 8] = -sp, sr * cp, cr * cp
+    yaw = drv[STEADY + 2] + drv[DECLINATION]
+    _attitude(drv[STEADY], drv[STEADY + 1], yaw, drv[STEADY_C : STEADY_C + 9])
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -1216,26 +1214,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     k = len(xd)
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
-    J = np.empty((9, 6))
-    B, X, last, seen, turn, gained, angles, spin, err, late, wander, v, u, w, l0, l1 = (
-        np.empty((3, 3)),
-        np.empty((6, 3)),
-        np.empty(6),
-        np.empty(3),
-        np.empty(9),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(6),
-        np.empty(6),
-        np.zeros(6),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-    )
-    C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
+    J, B, C, X, M = np.empty((9, 6)), np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3)), drv[MOUNTING : MOUNTING + 9]
+    last, err, late, wander, turn = np.empty(6), np.empty(6), np.empty(6), np.zeros(6), np.empty(9)
+    seen, gained, angles, spin = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    v, u, w, l0, l1 = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
         for s in range(k):
             if Cr[i, s] != 0.0:
@@ -1311,17 +1293,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2] + drv[DECLINATION]
         if held:
             psi = math.atan2(nav[9], nav[6])
-        cr, sr, cp, sp, cy, sy = (
-            math.cos(roll),
-            math.sin(roll),
-            math.cos(pitch),
-            math.sin(pitch),
-            math.cos(psi),
-            math.sin(psi),
-        )
-        C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
-        C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
-        C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
+        cy, sy = _attitude(roll, pitch, psi, flat(C))
         if blind:
             for i in range(3):
                 for j in range(3):

@@ -15,7 +15,7 @@ from numba.extending import lower_builtin, models, register_model
 
 __all__ = [
     *("LANES", "VECTOR", "all_of", "call", "compiled", "eight", "exchange", "fetch", "if_below", "lanes", "load"),
-    *("magnitude", "not_zero", "put", "put_away", "spread", "store", "times", "transpose"),
+    *("magnitude", "not_zero", "put", "put_away", "spread", "stand_for", "store", "times", "transpose"),
 ]
 
 #: Numbers at a time: what the widest registers there are hold.
@@ -209,9 +209,15 @@ def call(builder, name, *arguments):
     return builder.call(called, arguments)
 
 
-@compiled(magnitude, lanes, lanes)
-def _build_magnitude(context, builder, kinds, arguments):
-    return call(builder, "fabs", *arguments)
+def stand_for(function, name):
+    """Let one of the compiler's own functions stand for a function of such values in kernels."""
+
+    @compiled(function, lanes, *[lanes] * function.__code__.co_argcount)
+    def build_call(context, builder, kinds, arguments):
+        return call(builder, name, *arguments)
+
+
+stand_for(magnitude, "fabs")
 
 
 @compiled(not_zero, types.int64, lanes)
