@@ -2058,8 +2058,8 @@ def mirror_columns(T, M, rows, begin):
     M[begin:, :rows] = M[:rows, begin:].T
 
 
-def symmetrise(M, first):
-    block = M[first : first + 3, first : first + 3]
+def symmetrise(M, first, end):
+    block = M[first:end, first:end]
     block[:] = (block + block.T) / 2.0
 
 

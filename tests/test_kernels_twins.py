@@ -90,7 +90,7 @@ def test_kernels_of_symmetric_matrices(n):
     for args in [
         (symmetric.copy, T[0], np.zeros(n)),
         (symmetric.mirror_columns, T, M, 9, 9),
-        (symmetric.symmetrise, T[:, :9].copy(), 6),
+        (symmetric.symmetrise, T[:, :9].copy(), 6, 9),
         (consistency.reset_heading, M, 0.02),
         (consistency.add_turned, M, 3, 6, 0.1, -0.2, 0.3),
         (consistency.reset_tilts, M, 0.01, -0.02),

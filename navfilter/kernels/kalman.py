@@ -435,23 +435,16 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     if b == 0:
         return
     A = shaped(mem[m * m : m * m + b * b], b, b)
-    if count == 1:
-        for i in range(b):
-            for j in range(b):
-                A[i, j] = model[0, i, j]
-        advance_block(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
-    elif count > 1:
+    if count > 1:
         end = memory_offsets(dims)[10]
         W = mem[end - 4 * b * b : end].reshape((4, b, b))
         power(model[0], model[1], count, W)
-        for i in range(b):
-            for j in range(b):
-                A[i, j] = W[0, i, j]
-        advance_block(P, x, start, A, W[1], shaped(mem[work : work + b * n], b, n))
-    else:
-        for i in range(b):
-            for j in range(b):
-                A[i, j] = 1.0 if i == j else 0.0
+        model = W
+    for i in range(b):
+        for j in range(b):
+            A[i, j] = model[0, i, j] if count > 0 else 1.0 if i == j else 0.0
+    if count > 0:
+        advance_block(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -632,7 +625,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     if m > 0:
         _head_transposed(L, lam, shaped(record[: m * m], m, m), flat(T))
         return
-    symmetric.symmetrise(L, int(6))
+    symmetric.symmetrise(L, int(6), int(9))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
