@@ -668,12 +668,13 @@ def _multiple_zero(gamma: Array, degree: int) -> tuple[Array, Array] | None:
     """
     if degree >= gamma.size:
         return None
-    factors = [polypow([1.0, -1.0], degree), polypow([1.0, 1.0], degree)]
+    zeros: list[tuple[list[float], int]] = [([1.0, -1.0], degree), ([1.0, 1.0], degree)]
     if degree % 2 == 0:
         roots = chebyshev.chebroots(chebyshev.chebder(np.r_[gamma[0], 2.0 * gamma[1:]], degree - 1))
         between = roots[(roots.imag == 0.0) & (np.abs(roots) < 1.0)].real
-        factors += [polypow([1.0, -2.0 * x, 1.0], degree // 2) for x in between]
-    for factor in factors:
+        zeros += [([1.0, -2.0 * x, 1.0], degree // 2) for x in between]
+    for zero, times in zeros:
+        factor = np.asarray(polypow(zero, times), dtype=np.float64)
         quotient, left = _divided(gamma, factor)
         if left < ON_CIRCLE * gamma[0]:
             return factor, quotient
