@@ -231,18 +231,6 @@ def _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, increments):
         nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
 
 
-@pytest.mark.parametrize("increments", [False, True])
-def test_integrate_is_imu_steps_without_errors(increments):
-    rng = np.random.default_rng(5)
-    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, 0, INCREMENTS=float(increments))
-    nav, samples = random_nav(rng), imu_samples(rng, 15, increments)
-    ours, twins = run_both(strapdown.integrate, nav, drv, samples, np.zeros((15, 17)))
-    assert_close([ours[0][:6], ours[0][6:15], ours[3]], [twins[0][:6], twins[0][6:15], twins[3]])
-    strapdown.integrate(again := nav.copy(), drv.copy(), samples, np.zeros((0, 17)))
-    strapdown.imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc)
-    np.testing.assert_array_equal(nav, again)  # the same arithmetic
-
-
 DEAD_RECKONING = {
     "plain": {},
     "arm": {"LEVER": (0.8, -0.3, 0.4), "DECLINATION": -0.2},

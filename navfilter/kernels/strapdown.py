@@ -303,20 +303,6 @@ def _mechanise(nav, inc, dt, C):
     return pn, pe, pd, mn, me, md, g, by_rn, by_re, sl, cl, tl
 
 
-@njit(cache=True, error_model="numpy")
-def integrate(nav, drv, samples, out):
-    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it
-    has any.
-    """
-    inc, C = np.empty(6), np.empty(9)
-    for n in range(samples.shape[0]):
-        _increments(samples, n, drv, inc)
-        _mechanise(nav, inc, samples[n, 0], C)
-        if out.shape[0] > 0:
-            for i in range(17):
-                out[n, i] = nav[i]
-
-
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _take_errors_off(inc, xd, dt, seen, kinds, gain):
     """The drive's errors off the increments of a step; seen, kinds, gain: as `_which_errors` has it."""

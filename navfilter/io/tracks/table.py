@@ -90,8 +90,8 @@ def read_track(path: str | os.PathLike[str], vehicle: Vehicle, label: str | None
             f"{file} is no track.csv of navfilter: it has {'no row' if not missing else f'no {missing[0]}'}."
         )
 
-    def columns(names: list[str], otherwise: float = 0.0) -> np.ndarray:
-        found = [table[name] if name in table.columns else np.full(len(table), otherwise) for name in names]
+    def columns(names: list[str]) -> np.ndarray:
+        found = [table[name] if name in table.columns else np.zeros(len(table)) for name in names]
         return np.column_stack(found).astype(float)
 
     sd = columns([f"position_{a}_sd_m" for a in _AXES] + [f"velocity_{a}_sd_m_s" for a in _AXES])
