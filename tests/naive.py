@@ -2058,8 +2058,8 @@ def mirror_columns(T, M, rows, begin):
     M[begin:, :rows] = M[:rows, begin:].T
 
 
-def symmetrise(M, first):
-    block = M[first : first + 3, first : first + 3]
+def symmetrise(M, first, end):
+    block = M[first:end, first:end]
     block[:] = (block + block.T) / 2.0
 
 
@@ -2203,18 +2203,6 @@ IN_HAND = {
     15: "nav x drv spans limits sd ends watch P acc Phid Qd Cr piece plan",
 }
 TABLES = ["P", "acc", "Phid", "Qd", "Cr", "ring", "heads", "values", "watch", "piece", "plan"]
-
-
-def rows_of_text(values, digits, marks, given, begin, out):
-    text = b""
-    for k in range(begin, values.size):
-        row, column = divmod(k, digits.size)
-        form = f"%.{digits[column]}f" if digits[column] >= 0 else f"%.{-digits[column]}g"
-        text += given.tobytes() if k == begin and given.size else (form % values[k]).encode()
-        text += b"," + marks[row].tobytes() if column == 0 and marks.size else b""
-        text += b"," if column < digits.size - 1 else b"\n"
-    out[: len(text)] = np.frombuffer(text, np.uint8)
-    return values.size, len(text)
 
 
 # ---------------------------------------------------------------- noise that is larger than described

@@ -1,5 +1,7 @@
 """RecursiveArma: efficiency, agreement with the fit of the window, healing, tracking, and its small print."""
 
+import copy
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -96,20 +98,18 @@ def test_update_and_update_many_are_the_same_to_the_last_bit():
         one.update(x)
     many.update_many(series[:777])
     many.update_many(series[777:])
-    assert np.array_equal(one.snapshot()["state"], many.snapshot()["state"], equal_nan=True)
+    assert np.array_equal(one.window_fit.state, many.window_fit.state, equal_nan=True)
 
 
-def test_snapshot_continues_to_the_last_bit():
+def test_a_copy_continues_to_the_last_bit():
     series = simulate_arma([-0.8], [0.3], 1.0, 3000, seed=16)
-    first, second = RecursiveArma(1, 1, 800), RecursiveArma(1, 1, 800)
+    first = RecursiveArma(1, 1, 800)
     first.update_many(series[:1500])
-    second.restore(first.snapshot())
+    second = copy.deepcopy(first)
     for arma in (first, second):
         arma.update_many(series[1500:])
     assert np.array_equal(first.ar, second.ar)
     assert first.model == second.model
-    with pytest.raises(ValueError, match="snapshot does not fit"):
-        RecursiveArma(2, 1, 800).restore(first.snapshot())
 
 
 def test_a_step_of_the_coefficients_is_followed_within_a_window_and_a_half():
@@ -148,27 +148,7 @@ def test_missing_samples_cost_little():
     sd = np.sqrt(np.diag(arma.covariance))
     assert np.all(np.abs(np.r_[arma.ar, arma.ma] - [-1.6, 0.64, 0.3]) < 4.0 * sd)
     assert arma.n_seen == 9000
-    assert arma.effective_window < 4000
-
-
-def test_level_and_regressor_are_carried():
-    rng = np.random.default_rng(21)
-    temperature = 20.0 + np.cumsum(rng.normal(scale=0.05, size=8000))
-    noise = simulate_arma([-0.8], [0.2], 0.5, 8000, seed=22)
-    drive = lfilter([1.0], [1.0, -0.8], 0.3 * (temperature - temperature[0]))
-    arma = RecursiveArma(1, 1, 4000, exog=1)
-    arma.update_many(1000.0 + noise + drive, temperature)
-    assert arma.ar[0] == pytest.approx(-0.8, abs=0.05)
-    # The gain's own standard deviation is about .01.
-    assert arma.exog_gain[0] == pytest.approx(0.3, abs=0.05)
-    one = RecursiveArma(1, 1, 4000, exog=1)
-    for x, u in zip(1000.0 + noise[:700] + drive[:700], temperature, strict=False):
-        one.update(x, u)
-    many = RecursiveArma(1, 1, 4000, exog=1)
-    many.update_many(1000.0 + noise[:700] + drive[:700], temperature[:700])
-    assert np.array_equal(one.ar, many.ar)
-    with pytest.raises(ValueError, match="exog must be finite with 1 value"):
-        arma.update(3.0)
+    assert arma.model.effective_window < 4000
 
 
 def test_level_of_a_series_with_a_mean():
@@ -193,19 +173,6 @@ def test_clipping_resists_impulses():
     assert np.max(np.abs(np.r_[kept.ar, kept.ma] - truth)) < 0.2
     assert np.max(np.abs(np.r_[plain.ar, plain.ma] - truth)) > 0.3
     assert kept.sd == pytest.approx(1.0, rel=0.15)
-
-
-def test_forecast_and_spectrum_are_those_of_the_model():
-    series = 5.0 + simulate_arma([-0.8], [0.3], 2.0, 5000, seed=25)
-    arma = RecursiveArma(1, 1, 2000)
-    arma.update_many(series)
-    forecast = arma.predict(50)
-    assert forecast.shape == (50,)
-    np.testing.assert_allclose(np.diff(forecast[1:]) / (forecast[1:-1] - arma.level), -(1.0 + arma.ar[0]), rtol=1e-6)
-    freq = np.linspace(0.0, 5.0, 2001)
-    power = np.trapezoid(arma.spectrum(freq, 10.0), freq)
-    assert power == pytest.approx(arma.model.variance, rel=1e-3)
-    assert arma.predict(0).size == 0
 
 
 def test_whiteness_and_flags():

@@ -25,6 +25,7 @@ from navfilter.check.course_fit import (
     displacement,
     factors,
     heading_of,
+    increments,
     integral,
     paths_of,
     places_of,
@@ -82,11 +83,7 @@ def late_by(reference: Series, other: Series, window_s: float) -> float | None:
         edges = window_edges(begin + max(-late_s, 0.0), end - window_s - max(late_s, 0.0), window_s / 4.0)
         if edges.size < OFFSET_WINDOWS:
             return 1.0
-        wanted, found = (
-            np.interp(edges + window_s + shift, *series) - np.interp(edges + shift, *series)
-            for series, shift in ((reference, 0.0), (other, late_s))
-        )
-        agreement, _ = correlation(wanted, found)
+        agreement, _ = correlation(increments(edges, window_s, reference), increments(edges, window_s, other, late_s))
         return 1.0 - (agreement if abs(late_s) <= LEAST_S else max(agreement, 0.0)) ** 2
 
     return _best(unexplained, min(MOST_OFFSET_S, 0.25 * (end - begin)))
@@ -154,14 +151,14 @@ def fitted_clock(reference: Series, other: Series, window_s: float) -> ClockFit 
         return None
     middle = 0.5 * float(edges[0] + edges[-1])
 
-    def increments(series: Series, late_s: float, rate: float) -> Array:
+    def changes(series: Series, late_s: float, rate: float) -> Array:
         ahead, here = (np.interp(at + late_s + rate * (at - middle), *series) for at in (edges + window_s, edges))
         return np.asarray(ahead - here)
 
-    wanted = increments(reference, 0.0, 0.0)
+    wanted = changes(reference, 0.0, 0.0)
 
     def alike(late_s: float, rate: float) -> float:
-        return correlation(wanted, increments(other, late_s, rate))[0]
+        return correlation(wanted, changes(other, late_s, rate))[0]
 
     # a clock that runs at another rate blurs any one delay: first the best of a few rates
     grid = [(s, r) for s in np.linspace(-LEAST_S, LEAST_S, 41) for r in np.linspace(-RATE, RATE, 9)]
@@ -169,10 +166,10 @@ def fitted_clock(reference: Series, other: Series, window_s: float) -> ClockFit 
     by_s = 0.5 * float(np.median(np.diff(other[0])))
     sd = np.array([math.inf, math.inf])
     for _ in range(4):
-        here = increments(other, late_s, rate)
+        here = changes(other, late_s, rate)
         if correlation(wanted, here)[0] < 1.0 - LEFT:
             return None
-        change = (increments(other, late_s + by_s, rate) - increments(other, late_s - by_s, rate)) / (2.0 * by_s)
+        change = (changes(other, late_s + by_s, rate) - changes(other, late_s - by_s, rate)) / (2.0 * by_s)
         columns = np.column_stack([np.ones(wanted.size), here, change, change * (edges - middle)])
         best, spread = factors(columns, wanted)
         if abs(best[1]) < 1e-9:

@@ -45,6 +45,11 @@ def integral(time_s: Array, value: NDArray[Number]) -> NDArray[Number]:
     return cumulative_trapezoid(filled, time_s, axis=0, initial=0)
 
 
+def increments(edges: Array, window_s: float, series: Series, late_s: float = 0.0) -> Array:
+    """What a series changes by in windows that begin at these edges, and as much later."""
+    return np.interp(edges + window_s + late_s, *series) - np.interp(edges + late_s, *series)
+
+
 def correlation(a: Array, b: Array) -> tuple[float, float]:
     """Correlation of two series and the slope of b on a, both without their means."""
     both = np.isfinite(a) & np.isfinite(b)

@@ -22,6 +22,7 @@ from navfilter.check.course_fit import (
     correlation,
     factors,
     heading_of,
+    increments,
     integral,
     middle,
     unwrapped,
@@ -210,13 +211,10 @@ def _match(reference: tuple[Array, Array], other: tuple[Array, Array], window_s:
         return None
     edges = window_edges(begin, end, window_s / 4.0)
 
-    def increments(series: tuple[Array, Array], delay: float) -> Array:
-        return np.interp(edges + window_s + delay, *series) - np.interp(edges + delay, *series)
-
-    wanted = increments(reference, 0.0)
+    wanted = increments(edges, window_s, reference)
     best, at = (0.0, 0.0), 0.0
     for delay in np.linspace(-most_s, most_s, 81):
-        found = correlation(wanted, increments(other, float(delay)))
+        found = correlation(wanted, increments(edges, window_s, other, float(delay)))
         if abs(found[0]) > abs(best[0]):
             best, at = found, float(delay)
     return _Match(best[0], best[1], at)
@@ -441,8 +439,8 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
     if late_s is not None:
         yield from far_finding(depth[0], f"the depth is {{}} against what {name} and the tilt say of it.", late_s)
         return
-    X = np.column_stack([_increments(edges, time_s, sunk[:, k]) for k in range(2)])
-    y = _increments(edges, depth_time_s, depth_m)
+    X = np.column_stack([increments(edges, WINDOW_S, (time_s, sunk[:, k])) for k in range(2)])
+    y = increments(edges, WINDOW_S, (depth_time_s, depth_m))
     if float(np.std(y)) < _LITTLE_M:
         return
     best, sd = factors(X, y)
@@ -455,7 +453,7 @@ def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> I
         text = f"the velocity says up where {depth[0]} says down: its z axis points up."
         yield Finding("error", "sign", name, text, cure)
     else:
-        way = _increments(edges, time_s, integral(time_s, v)[:, 0])
+        way = increments(edges, WINDOW_S, (time_s, integral(time_s, v)[:, 0]))
         # as a velocity that is mounted too steep says, the depth changes with the way
         sunk, deeper = (series - way * (series @ way) / max(way @ way, 1e-9) for series in (X.sum(axis=1), y))
         yield from _scale_findings(depth[0], name, sunk, deeper)
@@ -501,11 +499,6 @@ def _tilt(time_s: Array, v: Array, mission: Mission) -> tuple[Array, Array] | No
     forward = mean(felt, 0, imu.time_s) - speed_up[0]
     side = mean(felt, 1, imu.time_s) - speed_up[1] - mean(turned, 2, imu.time_s) * v[:, 0]
     return np.clip(-side / ROUND_GRAVITY, -0.9, 0.9), np.clip(forward / ROUND_GRAVITY, -0.9, 0.9)
-
-
-def _increments(edges: Array, time_s: Array, series: Array) -> Array:
-    increments: Array = np.interp(edges + WINDOW_S, time_s, series) - np.interp(edges, time_s, series)
-    return increments
 
 
 def sideways_findings(name: str, mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:

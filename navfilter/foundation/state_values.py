@@ -189,13 +189,9 @@ def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
             return {"": "set", "items": sorted(v)}
         if isinstance(v, dict):
             return {"": "dict", "items": [[plain(key), plain(item)] for key, item in v.items()]}
-        if dataclasses.is_dataclass(v):
-            return {"": type(v).__name__, "fields": {f.name: plain(getattr(v, f.name)) for f in dataclasses.fields(v)}}
-        if isinstance(v, tuple) and hasattr(v, "_fields"):
-            return {
-                "": type(v).__name__,
-                "fields": {name: plain(item) for name, item in zip(v._fields, v, strict=True)},
-            }
+        if _has_fields(type(v)):
+            names = getattr(v, "_fields", None) or [f.name for f in dataclasses.fields(v)]
+            return {"": type(v).__name__, "fields": {name: plain(getattr(v, name)) for name in names}}
         if isinstance(v, tuple):
             return {"": "tuple", "items": [plain(item) for item in v]}
         if isinstance(v, list):

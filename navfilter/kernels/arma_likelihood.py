@@ -26,7 +26,7 @@ from numba import types
 
 from navfilter.kernels import arma_fit
 from navfilter.kernels.compiling.decorators import UNCOUNTED, njit
-from navfilter.kernels.compiling.registers import LANES, all_of, call, compiled, lanes, load, magnitude, store
+from navfilter.kernels.compiling.registers import LANES, all_of, lanes, load, magnitude, stand_for, store
 from navfilter.kernels.compiling.vectors import Written, write_out
 
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
@@ -70,17 +70,8 @@ def _larger(u, v):
     return u.called("maxnum", v) if isinstance(u, Written) else np.fmax(u, v)
 
 
-def _compile_all():
-    """These functions are the compiler's own."""
-    for function, name in ((_root, "sqrt"), (_smaller, "minnum"), (_larger, "maxnum")):
-        count = function.__code__.co_argcount
-
-        @compiled(function, lanes, *[lanes] * count)
-        def build_function(context, builder, kinds, arguments, name=name):
-            return call(builder, name, *arguments)
-
-
-_compile_all()
+for _function, _name in ((_root, "sqrt"), (_smaller, "minnum"), (_larger, "maxnum")):
+    stand_for(_function, _name)
 
 
 @njit(apart=True, cache=True, nogil=True, error_model="numpy")
@@ -760,17 +751,9 @@ def channel_recursion(
     U, used, able = np.zeros((r * r, LANES)), np.zeros((2, r, r), np.bool_), np.zeros(LANES, np.bool_)
     Q, start, noise = np.zeros((n * n, LANES)), np.zeros((n * n, LANES)), np.zeros((1, LANES))
     a, g, corner = np.zeros((m, LANES)), np.zeros((m, LANES)), np.zeros((m + 1, LANES))
-    L, K, noted, spare = (
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((2, LANES)),
-        (np.zeros((d, d)), np.zeros((n, d))),
-    )
-    sums, model, now = (
-        (np.zeros((1, LANES)), np.ones((1, LANES))),
-        (U, used, a, g, Q, start, noise),
-        np.empty(2, np.int64),
-    )
+    L, K, noted = np.zeros((n, LANES)), np.zeros((n, LANES)), np.zeros((2, LANES))
+    spare, now = (np.zeros((d, d)), np.zeros((n, d))), np.empty(2, np.int64)
+    sums, model = (np.zeros((1, LANES)), np.ones((1, LANES))), (U, used, a, g, Q, start, noise)
     E, V, values = np.empty((STEP, groups * LANES)), np.empty((STEP, groups * LANES)), np.empty(groups * LANES)
     gradient, own, trial, gains, undamped = np.empty(k), np.empty((k, k)), np.empty((1, k)), np.empty(1), np.zeros(1)
     for begin in range(0, y.size, STEP):

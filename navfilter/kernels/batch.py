@@ -521,6 +521,20 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
     return DONE
 
 
+@njit(cache=True, inline="always", **UNCOUNTED)
+def _four_matrices(hand, k):
+    """Of rows k to k + 3 of `hand`, see `standing`."""
+    a, b = standing(hand, k, np.float64), standing(hand, k + 1, np.float64)
+    return a, b, standing(hand, k + 2, np.float64), standing(hand, k + 3, np.float64)
+
+
+@njit(cache=True, inline="always", **UNCOUNTED)
+def _four_vectors(hand, k):
+    """The same, each as one row."""
+    a, b, c, d = _four_matrices(hand, k)
+    return flat(a), flat(b), flat(c), flat(d)
+
+
 @njit(cache=True, **UNCOUNTED)
 def propagate_sample(hand, samples, before_s, offset_s, at):
     """One sample live, by the same kernels as those of a replay in `run_batch`: `DONE`, or `HEED` where the watch
@@ -531,20 +545,10 @@ def propagate_sample(hand, samples, before_s, offset_s, at):
     piece: the last one of the samples that are kept, and in which row of it this one is (-1: none are kept). samples
     (1, 7): stamp and values, as they came; before_s: stamp of the last one, moved by `offset_s`, as this one will be.
     """
-    nav = flat(standing(hand, 0, np.float64))
-    x = flat(standing(hand, 1, np.float64))
-    drv = flat(standing(hand, 2, np.float64))
-    spans = flat(standing(hand, 3, np.float64))
-    limits = flat(standing(hand, 4, np.float64))
-    sd = flat(standing(hand, 5, np.float64))
-    ends = flat(standing(hand, 6, np.float64))
-    w = standing(hand, 7, np.float64)
-    P = standing(hand, 8, np.float64)
-    acc = standing(hand, 9, np.float64)
-    Phid = standing(hand, 10, np.float64)
-    Qd = standing(hand, 11, np.float64)
-    Cr = standing(hand, 12, np.float64)
-    piece = standing(hand, 13, np.float64)
+    nav, x, drv, spans = _four_vectors(hand, 0)
+    limits, sd, ends, _ = _four_vectors(hand, 4)
+    w, P, acc, Phid = _four_matrices(hand, 7)
+    Qd, Cr, piece, _ = _four_matrices(hand, 11)
     plan = standing(hand, 14, np.int64)
     stamp_s, gap_s, doubt_s, period_s = samples[0, 0], spans[0], spans[1], spans[2]
     samples[0, 0] += offset_s
@@ -673,22 +677,10 @@ def correct_reading(hand, recent, z, read, plain, time_s, now_s, kept_samples, k
     z: what arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is older.
     The others are those of `correction`.
     """
-    bench = flat(standing(hand, 0, np.float64))
-    nav = flat(standing(hand, 1, np.float64))
-    x = flat(standing(hand, 2, np.float64))
-    drv = flat(standing(hand, 3, np.float64))
-    facts = flat(standing(hand, 4, np.float64))
-    undone = flat(standing(hand, 5, np.float64))
-    ear = flat(standing(hand, 6, np.float64))
-    figures = flat(standing(hand, 7, np.float64))
-    P = standing(hand, 8, np.float64)
-    acc = standing(hand, 9, np.float64)
-    Phid = standing(hand, 10, np.float64)
-    Qd = standing(hand, 11, np.float64)
-    Cr = standing(hand, 12, np.float64)
-    ring = standing(hand, 13, np.float64)
-    heads = standing(hand, 14, np.float64)
-    values = standing(hand, 15, np.float64)
+    bench, nav, x, drv = _four_vectors(hand, 0)
+    facts, undone, ear, figures = _four_vectors(hand, 4)
+    P, acc, Phid, Qd = _four_matrices(hand, 8)
+    Cr, ring, heads, values = _four_matrices(hand, 12)
     plan = standing(hand, 16, np.int64)
     places = flat(standing(hand, 17, np.int64))
     cursor = flat(standing(hand, 18, np.int64))

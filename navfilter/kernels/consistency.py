@@ -552,7 +552,7 @@ def reset_heading(M, half):
         a, b = M[i, 6], M[i, 7]
         M[i, 6] = c * a - half * b
         M[i, 7] = c * b + half * a
-    symmetric.symmetrise(M, int(6))
+    symmetric.symmetrise(M, int(6), int(9))
 
 
 @njit(cache=True, inline="always")
@@ -583,7 +583,7 @@ def add_turned(M, first, of, x, y, z):
         M[j, first] += v * z - w * y
         M[j, first + 1] += w * x - u * z
         M[j, first + 2] += u * y - v * x
-    symmetric.symmetrise(M, first)
+    symmetric.symmetrise(M, first, first + 3)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -612,7 +612,7 @@ def reset_tilts(M, p, q):
     for i in range(6, 9):
         u, v, w = M[i, 6], M[i, 7], M[i, 8]
         M[i, 6], M[i, 7], M[i, 8] = u + q * w, v - p * w, w + p * v - q * u
-    symmetric.symmetrise(M, int(6))
+    symmetric.symmetrise(M, int(6), int(9))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -656,11 +656,7 @@ def _turn_states(P, by, first):
         f = P[j, 8]
         for i in range(len(by)):
             P[j, first + i] += by[i] * f
-    for i in range(first, end):
-        for j in range(first, i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s
+    symmetric.symmetrise(P, first, end)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

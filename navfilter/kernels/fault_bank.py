@@ -114,10 +114,8 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
     first, begin, score, information, more, heard, room = places(bank)
     own = bank[heard + channel * HEARD :][:HEARD]
     table, D = shaped(bank[first:begin], c, TABLE), shaped(bank[begin:score], n, columns)
-    G, Z = (
-        shaped(bank[room : room + a * columns], a, columns),
-        shaped(bank[room + a * columns :][: a * columns], a, columns),
-    )
+    G = shaped(bank[room : room + a * columns], a, columns)
+    Z = shaped(bank[room + a * columns :][: a * columns], a, columns)
     iH, iK, iS, iv = at[0], at[1], at[5], at[8]
     for k in range(c):
         if table[k, KIND] == DRIFT:

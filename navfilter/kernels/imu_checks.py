@@ -9,17 +9,6 @@ bit); everything else is in rates and forces.
 import math
 
 from navfilter.kernels.compiling.decorators import UNCOUNTED, njit
-from navfilter.kernels.compiling.registers import (
-    all_below,
-    all_of,
-    column,
-    first_six,
-    if_below,
-    if_equal,
-    magnitude,
-    put_column,
-    times,
-)
 
 # Columns of an axis: its condition, how long that had lasted when it was found [s] and how long nothing has spoken for
 # it [s]; the last value as it came, times it came in a row, share of values that repeat, smallest change; the last two
@@ -55,7 +44,6 @@ MEAN_S = 0.1
 OFF, NEAR = 0.7, 0.35  # of gravity: no vehicle that swims accelerates so for `OFF_FOR_S`
 OFF_FOR_S, RECOVERS_S = 0.3, 1.0
 LEVEL_SD = 0.1  # gravity is held against accelerometers while roll and pitch are known to this [rad]
-SEVERAL = 4  # samples for which it pays to take the axes together
 JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference turns with the gyros
 
 
@@ -71,94 +59,13 @@ def check_samples(samples, w, sd, limits, period_s, increments):
     unit, n = w[UNIT], 0
     unit[NEWS] = 0.0
     while n < samples.shape[0] and unit[NEWS] == 0.0:
-        if samples.shape[0] - n >= SEVERAL and _is_calm(w, period_s):
-            n = _check_ordinary(samples, n, w, sd, limits, period_s, increments)
-        if n < samples.shape[0] and unit[NEWS] == 0.0:
-            _check_axes(samples[n], w, sd, limits, period_s, increments)
-            _turn(samples[n], w, period_s, increments)
-            n += 1
+        _check_axes(samples[n], w, sd, limits, period_s, increments)
+        _turn(samples[n], w, period_s, increments)
+        n += 1
     return n
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _is_calm(w, period_s):
-    """Whether axes are what they nearly always are: known, good, and no steps that repeat."""
-    calm = True
-    for i in range(6):
-        calm = calm and w[i, CODE] == GOOD and w[i, SEEN] * period_s > KNOWN_S and w[i, RUN] < LEAST_RUN - SEVERAL
-    return calm
-
-
-@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
-def _check_ordinary(samples, n, w, sd, limits, period_s, increments):
-    """`_check_axes` of samples that find nothing, the six axes at once, from sample n on: to the bit what it does.
-    Returns the first that may find something: it is not looked at yet; all have been if that has `NEWS`.
-    """
-    six = first_six(sd[0], sd[1], sd[2], sd[3], sd[4], sd[5])
-    white = times(times(all_of(6.0), six), six)
-    ends = first_six(limits[0], limits[1], limits[2], limits[3], limits[4], limits[5])
-    one, none, nothing_less = all_of(1.0), all_of(0.0), all_of(math.inf)
-    last_raw, run, repeats, quantum = column(w, RAW), column(w, RUN), column(w, REPEATS), column(w, QUANTUM)
-    last, before, extreme = column(w, LAST), column(w, BEFORE), column(w, EXTREME)
-    noise, usual, seen, mean = column(w, NOISE), column(w, USUAL), column(w, SEEN), column(w, MEAN)
-    quick, slow = all_of(period_s / NOISE_S), all_of(period_s / USUAL_S)
-    part = one / seen
-    while n < samples.shape[0]:
-        sample = samples[n]
-        dt = sample[0]
-        raw = first_six(sample[1], sample[2], sample[3], sample[4], sample[5], sample[6])
-        x = times(raw, all_of(1.0 / dt)) if increments else raw
-        size = magnitude(x)
-        ran = if_equal(raw, last_raw, run + one, one)
-        off = last - times(all_of(0.5), x + before)
-        square, level = times(off, off), if_below(noise, white, white, noise)
-        lonely = if_below(times(all_of(0.99 * SPIKE * SPIKE / 6.0), level), square, magnitude(x - before), nothing_less)
-        lonely = if_below(none, level, lonely, nothing_less)
-        now_square = times(all_of(4.0), square)
-        bound = times(all_of(CLIP), level)
-        now_square = if_below(bound, now_square, bound, now_square)
-        gain = if_below(quick, part, part, quick)
-        gain = if_below(one, gain, one, gain)
-        now_noise = noise + times(now_square - noise, gain)
-        bound = times(all_of(CLIP), if_below(usual, white, white, usual))
-        now_square = if_below(bound, now_square, bound, now_square)
-        gain = if_below(slow, part, part, slow)
-        now_usual = if_below(ran, all_of(3.0), usual + times(now_square - usual, gain), usual)
-        level = if_below(now_usual, white, white, now_usual)
-        fine = 0.2 * period_s < dt < 3.0 * period_s and all_below(ran, all_of(LEAST_RUN)) and all_below(size, ends)
-        fine = fine and all_below(times(all_of(0.5), magnitude(off)), lonely)
-        if not (fine and all_below(now_noise, times(all_of(0.99 * NOISIER), level))):
-            break
-        change = magnitude(raw - last_raw)
-        least = if_below(change, quantum, change, quantum)
-        quantum = if_below(times(all_of(1e-9), magnitude(raw)), change, least, quantum)
-        repeats = repeats + times(if_equal(raw, last_raw, one, none) - repeats, all_of(REPEATED))
-        extreme = if_equal(ran, one, if_below(extreme, size, size, extreme), extreme)
-        run, last_raw, noise, usual, before, last = ran, raw, now_noise, now_usual, last, x
-        seen = seen + one
-        part = one / seen
-        gain = all_of(dt / MEAN_S)
-        gain = if_below(gain, part, part, gain)
-        mean = mean + times(x - mean, if_below(one, gain, one, gain))
-        put_column(w, MEAN, mean)
-        put_column(w, LAST, last)
-        _turn(sample, w, period_s, increments)
-        n += 1
-        if w[UNIT, NEWS] != 0.0:
-            break
-    put_column(w, RAW, last_raw)
-    put_column(w, RUN, run)
-    put_column(w, REPEATS, repeats)
-    put_column(w, QUANTUM, quantum)
-    put_column(w, BEFORE, before)
-    put_column(w, EXTREME, extreme)
-    put_column(w, NOISE, noise)
-    put_column(w, USUAL, usual)
-    put_column(w, SEEN, seen)
-    return n
-
-
-@njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
 def _check_axes(sample, w, sd, limits, period_s, increments):
     """What a sample says of each axis."""
     unit, dt = w[UNIT], sample[0]
@@ -190,11 +97,12 @@ def _check_axes(sample, w, sd, limits, period_s, increments):
                 a[SIZE] = off
                 unit[NEWS] = 1.0
             square = min(4.0 * off * off, CLIP * level)
-            a[NOISE] += (square - a[NOISE]) * min(1.0, max(period_s / NOISE_S, 1.0 / a[SEEN]))
+            part = 1.0 / a[SEEN]
+            a[NOISE] += (square - a[NOISE]) * min(1.0, max(period_s / NOISE_S, part))
             if a[RUN] < 3.0 and a[CODE] <= NOISY:
                 if a[SEEN] * period_s > KNOWN_S:
                     square = min(square, CLIP * max(a[USUAL], white))
-                a[USUAL] += (square - a[USUAL]) * max(period_s / USUAL_S, 1.0 / a[SEEN] if a[CODE] == GOOD else 0.0)
+                a[USUAL] += (square - a[USUAL]) * max(period_s / USUAL_S, part if a[CODE] == GOOD else 0.0)
         a[SEEN] += 1.0
         a[BEFORE] = x if gap else a[LAST]
         a[LAST] = x

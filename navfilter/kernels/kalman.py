@@ -15,22 +15,16 @@ from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def _multiply(A, B, out):
-    """`product`, compiled once."""
-    product(A, B, out)
-
-
-@njit(apart=True, cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
     """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
     columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
-    _multiply(acc[:9], P[:m], T)
+    product(acc[:9], P[:m], T)
     for i in range(9):
         for j in range(m):
             A[j, i] = T[i, j]
-    _multiply(acc[:9], A, head)
+    product(acc[:9], A, head)
     consistency.arc_term(P, head)
 
 
@@ -441,23 +435,16 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     if b == 0:
         return
     A = shaped(mem[m * m : m * m + b * b], b, b)
-    if count == 1:
-        for i in range(b):
-            for j in range(b):
-                A[i, j] = model[0, i, j]
-        advance_block(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
-    elif count > 1:
+    if count > 1:
         end = memory_offsets(dims)[10]
         W = mem[end - 4 * b * b : end].reshape((4, b, b))
         power(model[0], model[1], count, W)
-        for i in range(b):
-            for j in range(b):
-                A[i, j] = W[0, i, j]
-        advance_block(P, x, start, A, W[1], shaped(mem[work : work + b * n], b, n))
-    else:
-        for i in range(b):
-            for j in range(b):
-                A[i, j] = 1.0 if i == j else 0.0
+        model = W
+    for i in range(b):
+        for j in range(b):
+            A[i, j] = model[0, i, j] if count > 0 else 1.0 if i == j else 0.0
+    if count > 0:
+        advance_block(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -638,7 +625,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     if m > 0:
         _head_transposed(L, lam, shaped(record[: m * m], m, m), flat(T))
         return
-    symmetric.symmetrise(L, int(6))
+    symmetric.symmetrise(L, int(6), int(9))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -700,7 +687,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = Phi[j, i]
-    _multiply(C, L[:9], T)
+    product(C, L[:9], T)
     for r in range(9, m):
         for i in range(m):
             f = Phi[r, i]
@@ -710,7 +697,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = T[i, j]
-    _multiply(C, Phi[:9], A)
+    product(C, Phi[:9], A)
     for r in range(9, m):
         for j in range(m):
             f = Phi[r, j]
@@ -737,8 +724,8 @@ def _head_transposed(L, lam, Phi, work):
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
-    _multiply(P, L, T)
-    _multiply(T, P, cov)
+    product(P, L, T)
+    product(T, P, cov)
     for i in range(n):
         s = 0.0
         for j in range(n):

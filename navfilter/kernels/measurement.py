@@ -13,7 +13,7 @@ import numpy as np
 
 from navfilter.kernels import strapdown
 from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
-from navfilter.kernels.compiling.registers import across, all_of, eight, if_below, load, not_zero, store
+from navfilter.kernels.compiling.registers import all_of, eight, if_below, load, not_zero, store, transpose
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
 
@@ -561,7 +561,7 @@ def _eight_pieces(motion, k, span, work):
         span -= motion[i, 0]
     if span < 0.0:
         return -1.0
-    across(flat(motion), 7 * k - 1, int(7), work)
+    transpose(flat(motion), 7 * k - 1, int(7), flat(work), int(0), int(8))
     dt = load(work, 1)
     x, y, z = dt * load(work, 2), dt * load(work, 3), dt * load(work, 4)
     a, b, c = dt * load(work, 5), dt * load(work, 6), dt * load(work, 7)

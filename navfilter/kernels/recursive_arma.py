@@ -244,12 +244,9 @@ def rml_step(s, buf, x):
 
 
 @njit(cache=True, **OPTIONS)
-def rml_run(s, buf, xs, us, start):
-    """Samples xs[start:] with regressors us through one estimator until window work is due; returns where it stops."""
-    held = int(s[HEAD, AR]) + int(s[HEAD, MA]) + int(s[HEAD, EXOG]) - us.shape[1]
+def rml_run(s, buf, xs, start):
+    """Samples xs[start:] through one estimator until window work is due; returns where it stops."""
     for i in range(start, xs.size):
-        for j in range(us.shape[1]):
-            s[PHI, held + j] = us[i, j]
         if rml_step(s, buf, xs[i]):
             return i + 1
     return xs.size

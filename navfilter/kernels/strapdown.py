@@ -18,8 +18,8 @@ import math
 import numpy as np
 
 from navfilter.kernels.compiling.decorators import COUNTED, UNCOUNTED, flat, njit, scratch
-from navfilter.kernels.compiling.registers import all_of, load, store, times
-from navfilter.kernels.compiling.vectors import build_panels, copy_row, exchange
+from navfilter.kernels.compiling.registers import all_of, eight, exchange, if_below, load, put, store, times, transpose
+from navfilter.kernels.compiling.vectors import COLUMNS, build_panels
 
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
 EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
@@ -46,16 +46,8 @@ OFTEN, KNOWN_SAMPLES, REPEATS_SAMPLES, COUNTED_PERIODS = 0.1, 100.0, 2000.0, 5.0
 MOST_TURN, MOST_ACCELERATION, SCATTER_RAD, SCATTER_M_S, MOST_ODD = 1.5, 5.0, 0.1, 0.5, 2.0
 GAP_TURN = 0.35  # what a vehicle turns by unseen: 0.2 rad/s for some 3 s [rad/sqrt(s)]
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
-HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = (
-    40,
-    41,
-    42,
-    43,
-    44,
-    47,
-    56,
-    59,
-)
+HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING = 40, 41, 42, 43, 44, 47
+LEVER_VELOCITY, PREVIOUS_RPY = 56, 59
 MAX_SPEED, ZERO_IS_VALID = 62, 63
 TURN_RATE = 64
 # Dead reckoning whose clocks or lever arm are states: their places among the drive's states (-1: none); how fast the
@@ -311,20 +303,6 @@ def _mechanise(nav, inc, dt, C):
     return pn, pe, pd, mn, me, md, g, by_rn, by_re, sl, cl, tl
 
 
-@njit(cache=True, error_model="numpy")
-def integrate(nav, drv, samples, out):
-    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it
-    has any.
-    """
-    inc, C = np.empty(6), np.empty(9)
-    for n in range(samples.shape[0]):
-        _increments(samples, n, drv, inc)
-        _mechanise(nav, inc, samples[n, 0], C)
-        if out.shape[0] > 0:
-            for i in range(17):
-                out[n, i] = nav[i]
-
-
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _take_errors_off(inc, xd, dt, seen, kinds, gain):
     """The drive's errors off the increments of a step; seen, kinds, gain: as `_which_errors` has it."""
@@ -477,15 +455,11 @@ def _tick_rows(X, Phid, diagonal, T, moving):
 def _transpose(X, m):
     """Of a matrix in panels, as many as there are, in place."""
     size, square = _high(m) * WIDE, WIDE * WIDE
-    last = X.size // size - 1
-    for p in range(last + 1):
+    for p in range(X.size // size):
         for q in range(p):
             # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
-            lower, upper = q * size + p * square, p * size + q * square
-            exchange(X, lower, upper, upper, lower)
-    for p in range(0, last + 1, 2):
-        one, other = p * (size + square), min(p + 1, last) * (size + square)
-        exchange(X, one, other, one, other)
+            exchange(X, q * size + p * square, int(WIDE), X, p * size + q * square, int(WIDE))
+        transpose(X, p * (size + square), int(WIDE), X, p * (size + square), int(WIDE))
 
 
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
@@ -662,11 +636,12 @@ def _to_panels(M, X, m, moving):
     """
     high = _high(moving)
     for column in range(0, X.size // high, WIDE):
-        begin, known = column * high, min(WIDE, m - column)
+        begin, known = column * high, float(m - column)
         for i in range(moving):
-            copy_row(X, M, begin + i * WIDE, i * m + column, known)
+            row = eight(M, i * m + column)
+            put(X, begin + i * WIDE, if_below(eight(COLUMNS, 0), all_of(known), row, all_of(0.0)))
         for i in range(moving, high):
-            copy_row(X, M, begin + i * WIDE, int(0), int(0))
+            put(X, begin + i * WIDE, all_of(0.0))
 
 
 @njit(apart=True, cache=True, error_model="numpy", **UNCOUNTED)
@@ -674,11 +649,10 @@ def _from_panels(X, M, m, moving):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space, or
     begins the row of a constant, with zeros.
     """
-    high, whole = _high(moving), int(WIDE)
-    columns = X.size // high
+    high = _high(moving)
     for i in range(moving):
-        for column in range(0, columns, WIDE):
-            copy_row(M, X, i * m + column, column * high + i * WIDE, whole)
+        for column in range(0, X.size // high, WIDE):
+            put(M, i * m + column, eight(X, column * high + i * WIDE))
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -930,15 +904,21 @@ def _steady(drv, samples, n, blind, missing):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _attitude(roll, pitch, yaw, C):
+    """C_nb of these angles, row by row; returns cosine and sine of the last."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    C[0], C[1], C[2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+    C[3], C[4], C[5] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+    C[6], C[7], C[8] = -sp, sr * cp, cr * cp
+    return cy, sy
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _steady_attitude(drv):
     """The attitude that slopes see, into drv; how it has turned is there before."""
-    roll, pitch, psi = drv[STEADY], drv[STEADY + 1], drv[STEADY + 2] + drv[DECLINATION]
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(psi), math.sin(psi)
-    at = STEADY_C
-    drv[at], drv[at + 1], drv[at + 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
-    drv[at + 3], drv[at + 4], drv[at + 5] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
-    drv[at + 6], drv[at + 7], drv[at + 8] = -sp, sr * cp, cr * cp
+    yaw = drv[STEADY + 2] + drv[DECLINATION]
+    _attitude(drv[STEADY], drv[STEADY + 1], yaw, drv[STEADY_C : STEADY_C + 9])
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -1220,26 +1200,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     k = len(xd)
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
-    J = np.empty((9, 6))
-    B, X, last, seen, turn, gained, angles, spin, err, late, wander, v, u, w, l0, l1 = (
-        np.empty((3, 3)),
-        np.empty((6, 3)),
-        np.empty(6),
-        np.empty(3),
-        np.empty(9),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(6),
-        np.empty(6),
-        np.zeros(6),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-    )
-    C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
+    J, B, C, X, M = np.empty((9, 6)), np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3)), drv[MOUNTING : MOUNTING + 9]
+    last, err, late, wander, turn = np.empty(6), np.empty(6), np.empty(6), np.zeros(6), np.empty(9)
+    seen, gained, angles, spin = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    v, u, w, l0, l1 = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
         for s in range(k):
             if Cr[i, s] != 0.0:
@@ -1315,17 +1279,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2] + drv[DECLINATION]
         if held:
             psi = math.atan2(nav[9], nav[6])
-        cr, sr, cp, sp, cy, sy = (
-            math.cos(roll),
-            math.sin(roll),
-            math.cos(pitch),
-            math.sin(pitch),
-            math.cos(psi),
-            math.sin(psi),
-        )
-        C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
-        C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
-        C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
+        cy, sy = _attitude(roll, pitch, psi, flat(C))
         if blind:
             for i in range(3):
                 for j in range(3):

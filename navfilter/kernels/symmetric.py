@@ -32,9 +32,9 @@ def mirror_columns(T, M, rows, begin):
 
 
 @njit(cache=True, **UNCOUNTED)
-def symmetrise(M, first):
-    """Three rows and columns symmetric to the last bit."""
-    for i in range(first, first + 3):
+def symmetrise(M, first, end):
+    """Rows and columns from `first` to `end` symmetric to the last bit."""
+    for i in range(first, end):
         for j in range(first, i):
             s = 0.5 * (M[i, j] + M[j, i])
             M[i, j] = s

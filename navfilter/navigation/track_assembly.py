@@ -5,8 +5,8 @@ The bounds of `navfilter.faults.protection_level` along a track, from its covari
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -17,12 +17,12 @@ from navfilter.filter.records import OUTCOMES, Residuals, Tape
 from navfilter.filter.rts_smoother import smooth_rows
 from navfilter.foundation.arrays import Array, Ints, Mask
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.models.fault_bias import has_offset, wanders
+from navfilter.models.fault_bias import wanders
 from navfilter.models.parameters import constant_parameters
 from navfilter.models.sensors import Sensor
 from navfilter.models.state import euler_from_matrix, rotation_matrix
 from navfilter.navigation.navigator import Navigator
-from navfilter.track.track import Track
+from navfilter.track.track import Track, with_offsets
 
 
 def bounds_along(track: Track, unnoticed: Array) -> Array:
@@ -72,7 +72,7 @@ def _off(track: Track, name: str) -> Array:
             after = (track.time_s >= time_s[k]) & (track.time_s < time_s[k] + settings.FOLLOWED_S)
             off[after] = np.maximum(off[after], np.hypot(*np.nan_to_num(r.value[judged][k, :2])))
     off[last < 0] = 0.0
-    for begin_s, end_s in _with_offsets(track, name):
+    for begin_s, end_s in with_offsets(track, name):
         off[(track.time_s >= begin_s) & (track.time_s < end_s)] = 0.0
     return np.asarray(off)
 
@@ -91,13 +91,6 @@ def _largest(rows: Array) -> Array:
     return np.asarray(np.ascontiguousarray(rows.T).max(axis=0))
 
 
-def _with_offsets(track: Track, name: str, so: Callable[[Any], bool] = has_offset) -> list[tuple[float, float]]:
-    """When a sensor that had jumped had constants for it, or such that wander [s]."""
-    history = track.error_models.get(name, [])
-    pairs = zip(history, [*history[1:], (np.inf, None)], strict=True)
-    return [(begin_s, end_s) for (begin_s, models), (end_s, _) in pairs if so(models)]
-
-
 def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
     """What the refused readings of a velocity come to at each row, since the last fix [m]; 0 of other sensors."""
     r, sensor = track.residuals[name], track.vehicle.sensors[name]
@@ -109,7 +102,7 @@ def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
     speed = np.linalg.norm(track.velocity_n[row], axis=1)
     again = refused & np.r_[False, refused[:-1]] & believable(value, speed, track.vehicle.drive.max_speed_m_s)
     # of what is left aside nothing is reckoned with
-    for begin_s, end_s in _with_offsets(track, name, wanders):
+    for begin_s, end_s in with_offsets(track, name, wanders):
         again &= (time_s < begin_s) | (time_s >= end_s)
     if not again.any():
         return np.zeros(len(track))
@@ -279,10 +272,8 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
         columns, variance = places[tape.row_layouts[begin]], np.diagonal(covariance, axis1=1, axis2=2)[:, 9:]
         rows.put(begin, columns, state, covariance[:, :9, :9], variance, mean[:, 9:])
 
-    shown = bar(len(tape.records), "smoother", progress)
-    smooth_rows(tape, store, None if shown is None else shown.update, inertial)
-    if shown is not None:
-        shown.close()
+    with bar(len(tape.records), "smoother", progress) as told:
+        smooth_rows(tape, store, told, inertial)
     for begin in range(0, len(correction), PIECE):
         packed, moved = rows.packed[begin : begin + PIECE], correction[begin : begin + PIECE]
         packed[:, 6:15] = (rotation_matrix(moved[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
@@ -310,10 +301,13 @@ def _tape(nav: Navigator) -> Tape:
     return tape
 
 
-def bar(total: int, what: str, progress: bool) -> Any:
-    """A progress bar on standard error; None where none is wanted."""
+@contextmanager
+def bar(total: int, what: str, progress: bool) -> Iterator[Callable[[int], object] | None]:
+    """A progress bar on standard error, as what it is told by; None where none is wanted."""
     if not progress:
-        return None
+        yield None
+        return
     from tqdm import tqdm
 
-    return tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2)
+    with tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2) as shown:
+        yield shown.update

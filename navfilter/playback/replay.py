@@ -551,10 +551,8 @@ def _run(nav: Navigator, times: Array, values: Array, events: MeasurementSequenc
             f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the "
             "clocks."
         )
-    shown = bar(len(events.time_s), "filter", progress)
-    BatchRunner(nav, times, values, events, done).run(None if shown is None else shown.update)
-    if shown is not None:
-        shown.close()
+    with bar(len(events.time_s), "filter", progress) as told:
+        BatchRunner(nav, times, values, events, done).run(told)
 
 
 def residual_series(
@@ -580,16 +578,12 @@ def residual_series(
     """
     start = _start(vehicle, mission, start)
     vehicle, mission = _of_the_last_unit(vehicle, mission, start)
-    drive = drive_samples(vehicle, mission)
-    # nothing is late: the same filter, without the history that lets late readings in
-    nav = Navigator(vehicle, start, history_s=0.0, threads=False)
     names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
-    _listen(nav, mission, names)
-    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
+    nav = at_the_end(vehicle, mission, start, names)
     return {name: nav.residuals(name) for name in names}
 
 
-def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -> Navigator:
+def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None, heard: Sequence[str] = ()) -> Navigator:
     """The navigator at the end of a mission: its constant states are then what a smoother gives for all of it.
 
     Parameters
@@ -599,10 +593,14 @@ def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -
     mission : Mission
     start : Start, optional
         As in `replay`.
+    heard : sequence of str
+        Sensors whose open-loop residuals it keeps.
     """
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
+    # nothing is late: the same filter, without the history that lets late readings in
     nav = Navigator(vehicle, start, history_s=0.0, threads=False)
+    _listen(nav, mission, heard)
     _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
     return nav
 

@@ -20,19 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.models import (
-    BasicTicker,
-    BasicTickFormatter,
-    ColorBar,
-    ColumnDataSource,
-    DataRange1d,
-    LinearAxis,
-    LinearColorMapper,
-    LogColorMapper,
-    Metric,
-    Range1d,
-    ScaleBar,
-)
+from bokeh import models
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 from bokeh.transform import transform
@@ -476,9 +464,9 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
             [last.east[k]], [last.north[k]], marker=marker, size=8, line_color=END, fill_color="white", name=name
         )
         keys.append(Key(name, END, f"points {marker}"))
-    zoomed = ColumnDataSource({"x": [], "y": []})
+    zoomed = models.ColumnDataSource({"x": [], "y": []})
     plot.line("x", "y", source=zoomed, line_color="#d7191c", line_width=4, line_alpha=0.5, name="zoomed")
-    here = ColumnDataSource({"x": [], "y": []})
+    here = models.ColumnDataSource({"x": [], "y": []})
     plot.scatter("x", "y", source=here, size=13, line_color="#d7191c", line_width=2.5, fill_color=None, name="here")
     return Live(item_of(plot), [*keys, Key(plan.shape, "#555555", "points")], HEIGHT)
 
@@ -488,8 +476,8 @@ def _plot(plan: Plan) -> Any:
         height=HEIGHT,
         sizing_mode="stretch_width",
         match_aspect=True,
-        x_range=DataRange1d(name="east"),
-        y_range=DataRange1d(name="north"),
+        x_range=models.DataRange1d(name="east"),
+        y_range=models.DataRange1d(name="north"),
         x_axis_label="east [m]",
         y_axis_label="north [m]",
         min_border_right=14,
@@ -500,14 +488,17 @@ def _plot(plan: Plan) -> Any:
     plot.tools[0].match_aspect = True
     plot.toolbar.logo = None
     # Kept by the script at offset + factor x those of east and north.
-    plot.extra_x_ranges = {"deg": Range1d(0, 1, name="longitude", tags=[plan.longitude_deg, plan.east_deg])}
-    plot.extra_y_ranges = {"deg": Range1d(0, 1, name="latitude", tags=[plan.latitude_deg, plan.north_deg])}
-    how = {"ticker": BasicTicker(desired_num_ticks=4), "formatter": BasicTickFormatter(use_scientific=False)}
-    plot.add_layout(LinearAxis(x_range_name="deg", axis_label="longitude [deg]", **how), "above")
-    plot.add_layout(LinearAxis(y_range_name="deg", axis_label="latitude [deg]", **how), "right")
+    plot.extra_x_ranges = {"deg": models.Range1d(0, 1, name="longitude", tags=[plan.longitude_deg, plan.east_deg])}
+    plot.extra_y_ranges = {"deg": models.Range1d(0, 1, name="latitude", tags=[plan.latitude_deg, plan.north_deg])}
+    how = {
+        "ticker": models.BasicTicker(desired_num_ticks=4),
+        "formatter": models.BasicTickFormatter(use_scientific=False),
+    }
+    plot.add_layout(models.LinearAxis(x_range_name="deg", axis_label="longitude [deg]", **how), "above")
+    plot.add_layout(models.LinearAxis(y_range_name="deg", axis_label="latitude [deg]", **how), "right")
     plain_look(plot)
-    metric = Metric(base_unit="m", exclude=["dm", "dam", "hm"])
-    bar = ScaleBar(range=plot.x_range, unit="m", dimensional=metric, location="bottom_left", bar_length=0.2)
+    metric = models.Metric(base_unit="m", exclude=["dm", "dam", "hm"])
+    bar = models.ScaleBar(range=plot.x_range, unit="m", dimensional=metric, location="bottom_left", bar_length=0.2)
     plot.add_layout(bar)
     return plot
 
@@ -528,7 +519,7 @@ def _path(plot: Any, run: PlanRun, hue: str, shape: str) -> None:
     line.tags = ["colour run"]
     shapes = [(s.east, s.north, s.width, s.height, s.angle) for s in run.ellipses]
     columns = dict(zip(("x", "y", "width", "height", "angle"), map(list, zip(*shapes, strict=True)), strict=True))
-    source = ColumnDataSource(columns)
+    source = models.ColumnDataSource(columns)
     how: dict[str, Any] = {"line_color": hue, "fill_color": None, "name": shape, "level": "underlay"}
     plot.ellipse("x", "y", "width", "height", "angle", source=source, **how)
 
@@ -539,15 +530,15 @@ def _coloured(plot: Any, run: PlanRun, clock: Clock) -> None:
     east, north = run.east[rows].astype(np.float32), run.north[rows].astype(np.float32)
     rms, time = run.rms[rows].astype(np.float32), clock(run.time_s[rows]).astype(np.float32)
     columns = {"x0": east[:-1], "y0": north[:-1], "x1": east[1:], "y1": north[1:]}
-    source = ColumnDataSource(columns | {"sd": rms[1:], "time": time[1:]})
+    source = models.ColumnDataSource(columns | {"sd": rms[1:], "time": time[1:]})
     low, high = float(rms.min()), float(rms.max())
     # From centimetres with fixes to hundreds of metres without: equal colours for equal ratios.
     spread = high > 10.0 * low > 0.0
     mappers = {
-        "sd": (LogColorMapper if spread else LinearColorMapper)(
+        "sd": (models.LogColorMapper if spread else models.LinearColorMapper)(
             palette="Plasma256", low=low, high=max(high, low + 1e-6)
         ),
-        "time": LinearColorMapper(palette="Viridis256", low=float(time[0]), high=float(time[-1])),
+        "time": models.LinearColorMapper(palette="Viridis256", low=float(time[0]), high=float(time[-1])),
     }
     titles = {"sd": f"predicted rms of {run.label} [m]", "time": clock.label}
     for name, mapper in mappers.items():
@@ -555,7 +546,7 @@ def _coloured(plot: Any, run: PlanRun, clock: Clock) -> None:
             "x0", "y0", "x1", "y1", source=source, line_width=3, line_color=transform(name, mapper), visible=False
         )
         line.tags = [f"colour {name}"]
-        bar = ColorBar(
+        bar = models.ColorBar(
             color_mapper=mapper, title=plain(titles[name]), height=10, visible=False, tags=[f"colour {name}"]
         )
         bar.update(orientation="horizontal", title_text_font_style="normal", padding=4)
@@ -729,7 +720,7 @@ def any_item() -> dict[str, Any]:
         height=ANY_HEIGHT, sizing_mode="stretch_width", toolbar_location="above", lod_threshold=None, **toolbox("both")
     )
     plot.toolbar.logo = None
-    source = ColumnDataSource({"x": [], "y": []})
+    source = models.ColumnDataSource({"x": [], "y": []})
     hue = colour(0)[0]
     plot.line("x", "y", source=source, line_color=hue, line_alpha=0.35, name="any")
     plot.scatter("x", "y", source=source, size=4, color=hue, fill_alpha=0.6, line_color=None, name="any")

@@ -3,25 +3,9 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from bokeh import __version__
+from bokeh import __version__, models
 from bokeh.document import Document
 from bokeh.layouts import gridplot
-from bokeh.models import (
-    BoxAnnotation,
-    BoxZoomTool,
-    ColumnDataSource,
-    DataRange1d,
-    DatetimeAxis,
-    FixedTicker,
-    HoverTool,
-    PanTool,
-    Range1d,
-    ResetTool,
-    SaveTool,
-    Span,
-    WheelZoomTool,
-    glyphs,
-)
 from bokeh.plotting import figure
 
 from navfilter.foundation.arrays import Array
@@ -90,7 +74,7 @@ def live_stack(stack: Stack, clock: Clock) -> Live:
         Of the time axis.
     """
     over_time = not stack.x_label
-    x_range = Range1d(*clock.range, name="time") if over_time else DataRange1d(range_padding=0.02)
+    x_range = models.Range1d(*clock.range, name="time") if over_time else models.DataRange1d(range_padding=0.02)
     plots, keys, heights = [], [], []
     for row, panel in enumerate(stack.panels):
         last = row == len(stack.panels) - 1
@@ -101,7 +85,9 @@ def live_stack(stack: Stack, clock: Clock) -> Live:
         _scaled(plot, panel)
         if over_time:
             _marked(plot, stack.marks, clock)
-            plot.add_layout(Span(dimension="height", name="cursor", level="overlay", line_alpha=0.7, visible=False))
+            plot.add_layout(
+                models.Span(dimension="height", name="cursor", level="overlay", line_alpha=0.7, visible=False)
+            )
         if over_time and row == 0 and clock.utc_s is not None:
             _utc_axis(plot, clock)
         plot.xaxis[-1].axis_label = (stack.x_label or clock.label) if last else None
@@ -122,8 +108,11 @@ def _height(stack: Stack, utc: bool, last: bool) -> int:
 
 def toolbox(dimensions: str) -> dict[str, Any]:
     """Tools of a plot: drag a box to zoom, the wheel with Ctrl, pan, back, save."""
-    box, wheel = BoxZoomTool(dimensions=dimensions), WheelZoomTool(dimensions=dimensions, modifiers={"ctrl": True})
-    tools = [box, wheel, PanTool(dimensions=dimensions), ResetTool(), SaveTool()]
+    box, wheel = (
+        models.BoxZoomTool(dimensions=dimensions),
+        models.WheelZoomTool(dimensions=dimensions, modifiers={"ctrl": True}),
+    )
+    tools = [box, wheel, models.PanTool(dimensions=dimensions), models.ResetTool(), models.SaveTool()]
     return {"tools": tools, "active_drag": box, "active_scroll": wheel}
 
 
@@ -160,8 +149,8 @@ def plain_look(plot: Any) -> Any:
 def _y_range(panel: Panel) -> Any:
     """As the panel says, or that of what is in view."""
     if panel.limits is None:
-        return DataRange1d(only_visible=True, range_padding=0.06)
-    return Range1d(start=panel.limits[0], end=panel.limits[1])
+        return models.DataRange1d(only_visible=True, range_padding=0.06)
+    return models.Range1d(start=panel.limits[0], end=panel.limits[1])
 
 
 def _utc_axis(plot: Any, clock: Clock) -> None:
@@ -169,8 +158,10 @@ def _utc_axis(plot: Any, clock: Clock) -> None:
     factor = 1000.0 / clock.factor
     offset = 1000.0 * ((clock.utc_s or 0.0) + clock.zero_s)
     low, high = (offset + factor * x for x in clock.range)
-    plot.extra_x_ranges = {"utc": Range1d(low, high, name="utc", tags=[offset, factor])}
-    plot.add_layout(DatetimeAxis(x_range_name="utc", axis_label="UTC", axis_label_text_font_style="normal"), "above")
+    plot.extra_x_ranges = {"utc": models.Range1d(low, high, name="utc", tags=[offset, factor])}
+    plot.add_layout(
+        models.DatetimeAxis(x_range_name="utc", axis_label="UTC", axis_label_text_font_style="normal"), "above"
+    )
 
 
 def _scaled(plot: Any, panel: Panel) -> None:
@@ -178,13 +169,13 @@ def _scaled(plot: Any, panel: Panel) -> None:
     if limits is not None and panel.limits is None and panel.shape == "from zero":
         plot.y_range.start = 0.0
     for y in panel.lines_at:
-        plot.add_layout(Span(dimension="width", location=y, line_width=0.8, level="underlay"))
+        plot.add_layout(models.Span(dimension="width", location=y, line_width=0.8, level="underlay"))
     if panel.level is not None:
-        box = BoxAnnotation(bottom=panel.level.low, top=panel.level.high, fill_color=LEVEL, fill_alpha=0.4)
+        box = models.BoxAnnotation(bottom=panel.level.low, top=panel.level.high, fill_color=LEVEL, fill_alpha=0.4)
         box.update(line_color=None, level="underlay", name=panel.level.label)
         plot.add_layout(box)
     if panel.ticks:
-        plot.yaxis.ticker = FixedTicker(ticks=[y for y, _ in panel.ticks])
+        plot.yaxis.ticker = models.FixedTicker(ticks=[y for y, _ in panel.ticks])
         plot.yaxis.major_label_overrides = dict(panel.ticks)
 
 
@@ -197,19 +188,19 @@ def _drawn(plot: Any, part: Part, panel: Panel, clock: Clock | None) -> None:
             x, low, high = broken(x, low, high)
             x, low, high = extremes(x, low, high, STRETCHES // 2)
         data = _source(x, clock, step, low=low, high=high)
-        glyph = glyphs.VArea(x="x", y1="low", y2="high", fill_color=part.hue, fill_alpha=part.alpha)
+        glyph = models.glyphs.VArea(x="x", y1="low", y2="high", fill_color=part.hue, fill_alpha=part.alpha)
     elif isinstance(part, Points):
         data = _source(part.x, clock, step, y=part.y)
         shape = {".": "circle", "o": "circle", "x": "x", "D": "diamond"}[part.marker]
         size, fill = {".": 3, "o": 5}.get(part.marker, 7), None if part.marker in "xD" else part.hue
-        glyph = glyphs.Scatter(x="x", y="y", marker=shape, size=size, line_color=part.hue, fill_color=fill)
+        glyph = models.glyphs.Scatter(x="x", y="y", marker=shape, size=size, line_color=part.hue, fill_color=fill)
     else:
         x, y = part.x, part.y
         if clock is not None and not part.steps:
             x, y = broken(x, y)
             x, y = straightened(*envelope(x, y, STRETCHES), step)
         data = _source(x, clock, step, y=y)
-        glyph = glyphs.Step(x="x", y="y", mode="after") if part.steps else glyphs.Line(x="x", y="y")
+        glyph = models.glyphs.Step(x="x", y="y", mode="after") if part.steps else models.glyphs.Line(x="x", y="y")
         glyph.update(line_color=part.hue, line_dash=_dashes(part.dash, part.width), line_width=1.3 * part.width)
     plot.add_glyph(data, glyph, name=part.label)
 
@@ -226,12 +217,12 @@ def _height_of(panel: Panel) -> float:
     return shown[1] - shown[0]
 
 
-def _source(x: Array, clock: Clock | None, step: float, **columns: Array) -> ColumnDataSource:
+def _source(x: Array, clock: Clock | None, step: float, **columns: Array) -> models.ColumnDataSource:
     """Columns in single precision, y in steps of less than a quarter of what a line may be off: both pack well."""
     shown = x if clock is None else clock(x)
     fine = 2.0 ** np.floor(np.log2(0.25 * step)) if step > 0.0 else 0.0
     rounded = {k: (np.round(v / fine) * fine if fine else v).astype(np.float32) for k, v in columns.items()}
-    return ColumnDataSource({"x": shown.astype(np.float32), **rounded})
+    return models.ColumnDataSource({"x": shown.astype(np.float32), **rounded})
 
 
 def _dashes(dash: Any, width: float) -> Any:
@@ -243,15 +234,15 @@ def _marked(plot: Any, marks: tuple[Mark, ...], clock: Clock) -> None:
     hovered = []
     for label, kind in by_label(marks).items():
         begin, end = clock(np.array([[m.begin_s, m.end_s] for m in kind])).T
-        data = ColumnDataSource({"begin": begin, "end": end, "text": [m.text for m in kind]})
+        data = models.ColumnDataSource({"begin": begin, "end": end, "text": [m.text for m in kind]})
         hue = kind[0].hue
         if (end > begin).any():
-            glyph = glyphs.VStrip(x0="begin", x1="end", fill_color=hue, fill_alpha=0.13, line_color=None)
+            glyph = models.glyphs.VStrip(x0="begin", x1="end", fill_color=hue, fill_alpha=0.13, line_color=None)
         else:
-            glyph = glyphs.VSpan(x="begin", line_color=hue, line_alpha=0.8, line_width=1.2)
+            glyph = models.glyphs.VSpan(x="begin", line_color=hue, line_alpha=0.8, line_width=1.2)
         hovered.append(plot.add_glyph(data, glyph, name=label, level="underlay"))
     if hovered:
-        plot.add_tools(HoverTool(renderers=hovered, tooltips=[("", "@text")], visible=False))
+        plot.add_tools(models.HoverTool(renderers=hovered, tooltips=[("", "@text")], visible=False))
 
 
 def _key(part: Part | Level) -> Key:

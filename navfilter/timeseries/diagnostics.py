@@ -112,10 +112,6 @@ class Whiteness:
         Statistic over `lags` lags, and its probability under whiteness with ``lags - fitted`` degrees of freedom.
     periodogram, periodogram_p : float
         Largest distance of the cumulative periodogram from the straight line (Bartlett), and its probability.
-    exceedances : int
-        Autocorrelations beyond 1.96/sqrt(n) among the first `lags` (Mehra's count with a lag limit).
-    exceedances_p : float
-        Probability of so many or more under whiteness (binomial).
     wt : float
         The measure of Ah-Chong (2003), eq. 3.17: 0.05 over the exceeding fraction of all n lags. Not a test: white
         noise scores `wt_white`, not 1, and clearly coloured series pass "WT > 1".
@@ -132,8 +128,6 @@ class Whiteness:
     ljung_box_p: float
     periodogram: float
     periodogram_p: float
-    exceedances: int
-    exceedances_p: float
     wt: float
     wt_white: float
     n: int
@@ -152,7 +146,7 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
     fitted : int
         Number of coefficients p + q fitted to the series, which cost degrees of freedom.
     lags : int, optional
-        Lags of Ljung-Box and of the count; default 20, more when many coefficients were fitted.
+        Lags of Ljung-Box; default 20, more when many coefficients were fitted.
     level : float
         False-alarm probability of the verdict, shared by the two tests.
 
@@ -180,7 +174,6 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
     box_p = float(scipy.stats.chi2.sf(box, lags - fitted))
     distance, distance_p = _cumulative_periodogram(x)
     limit = 1.959964 / math.sqrt(n)
-    count = int(np.sum(np.abs(r) > limit))
     everywhere = int(np.sum(np.abs(full[1:]) > limit))
     return Whiteness(
         is_white=min(box_p, distance_p) >= 0.5 * level,
@@ -188,8 +181,6 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
         ljung_box_p=box_p,
         periodogram=distance,
         periodogram_p=distance_p,
-        exceedances=count,
-        exceedances_p=float(scipy.stats.binom.sf(count - 1, lags, 0.05)),
         wt=0.05 * x.size / everywhere if everywhere else math.inf,
         wt_white=WT_WHITE,
         n=n,

@@ -8,7 +8,6 @@ With ``z+ = M z + g e``, ``y = z[0] + e`` and start ``z0 ~ N(0, sd^2 P0)`` the r
 
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -39,20 +38,6 @@ class Point:
     gram: Array = field(default_factory=_none)
     P0: Array = field(default_factory=_none)
     w: Array = field(default_factory=_none)
-
-
-class Objective(Protocol):
-    """An objective that the minimiser can evaluate and linearise."""
-
-    p: int
-    q: int
-    count: int
-
-    def evaluate(self, theta: Array) -> Point: ...
-
-    def linearise(self, point: Point) -> tuple[Array, Array]: ...
-
-    def residuals(self, point: Point) -> Array: ...
 
 
 def inside(theta: Array, p: int) -> bool:
@@ -259,6 +244,10 @@ class WithGaps:
         J, r = np.array(rows), self._scaled(point.theta, point.beta)
         power = float(r @ r) / self.count
         return J @ J.T / power, J @ r / power
+
+
+#: What the minimiser can evaluate and linearise.
+Objective = GapFree | WithGaps
 
 
 def minimise(objective: Objective, start: Array, limit: int = 60, tolerance: float = 1e-6) -> tuple[Point, bool]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.polynomial import chebyshev
+from numpy.polynomial.polynomial import polypow
 
 from navfilter.foundation.arguments import needs, numbers
 from navfilter.foundation.arrays import Array, ArrayLike, Complex
@@ -667,23 +668,17 @@ def _multiple_zero(gamma: Array, degree: int) -> tuple[Array, Array] | None:
     """
     if degree >= gamma.size:
         return None
-    factors = [_power([1.0, -1.0], degree), _power([1.0, 1.0], degree)]
+    zeros: list[tuple[list[float], int]] = [([1.0, -1.0], degree), ([1.0, 1.0], degree)]
     if degree % 2 == 0:
         roots = chebyshev.chebroots(chebyshev.chebder(np.r_[gamma[0], 2.0 * gamma[1:]], degree - 1))
         between = roots[(roots.imag == 0.0) & (np.abs(roots) < 1.0)].real
-        factors += [_power([1.0, -2.0 * x, 1.0], degree // 2) for x in between]
-    for factor in factors:
+        zeros += [([1.0, -2.0 * x, 1.0], degree // 2) for x in between]
+    for zero, times in zeros:
+        factor = np.asarray(polypow(zero, times), dtype=np.float64)
         quotient, left = _divided(gamma, factor)
         if left < ON_CIRCLE * gamma[0]:
             return factor, quotient
     return None
-
-
-def _power(factor: list[float], times: int) -> Array:
-    product = np.ones(1)
-    for _ in range(times):
-        product = np.convolve(product, factor)
-    return product
 
 
 def _divided(gamma: Array, factor: Array) -> tuple[Array, float]:

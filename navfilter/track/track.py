@@ -6,7 +6,7 @@ Along a track: for how long, and why, it is not to be trusted as it should be.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -152,6 +152,13 @@ def _reasons(run: Track) -> Iterator[tuple[str, str, Mask]]:
             yield from (("degraded", f"{name} is {what}", rows) for what, rows in conditions if what != calm)
 
 
+def with_offsets(track: Track, name: str, so: Callable[[Any], bool] = has_offset) -> list[tuple[float, float]]:
+    """When a sensor that had jumped had constants for it, or such that wander [s]."""
+    history = track.error_models.get(name, [])
+    pairs = zip(history, [*history[1:], (np.inf, None)], strict=True)
+    return [(begin_s, end_s) for (begin_s, models), (end_s, _) in pairs if so(models)]
+
+
 def _heard_s(r: Residuals) -> Array:
     """When a sensor was heard [s]."""
     heard = ~np.isin(r.outcome, [OUTCOMES.index("ahead"), OUTCOMES.index("invalid")])
@@ -183,10 +190,8 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
     yield "rejected", left & old
     left &= ~old
     jumped = np.zeros(len(now), bool)
-    history = run.error_models.get(name, [])
-    for (begin_s, models), (end_s, _) in zip(history, [*history[1:], (np.inf, None)], strict=True):
-        if has_offset(models):
-            jumped |= (now >= begin_s) & (now < end_s)
+    for begin_s, end_s in with_offsets(run, name):
+        jumped |= (now >= begin_s) & (now < end_s)
     yield "jumped", left & jumped
     judged = (r.dof > 0) & np.isfinite(r.nis)
     if judged.any():

@@ -9,7 +9,6 @@ is NaN. ``sensors``: heading, pitch, roll, pressure (above that of the air), tem
 is the instrument's clock, which need not be UTC.
 """
 
-import datetime
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -17,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.io.logs.lines import byte_bar
+from navfilter.io.logs.sentence_times import seconds_since_1970
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
 _SYNC = 0xA5
 _BURST, _AVERAGE, _BOTTOM_TRACK = 0x15, 0x16, 0x17
-_EPOCH = datetime.datetime(1970, 1, 1)
 #: Behind which bits of the configuration what follows, per beam: format, name, factor.
 _PER_BEAM = ((5, "i", "velocity", 0.0), (8, "i", "distance", 1e-3), (9, "H", "fom", 1.0))
 _UNITS = dict.fromkeys(("heading", "pitch", "roll"), "deg")
@@ -84,11 +83,8 @@ def _checksum(data: bytes) -> int:
 
 def _time_s(data: bytes) -> float | None:
     year, month, day, hour, minute, second, steps = struct.unpack_from("<6BH", data, 8)
-    try:
-        moment = datetime.datetime(1900 + year, month + 1, day, hour, minute, second)
-    except ValueError:
-        return None
-    return (moment - _EPOCH).total_seconds() + 1e-4 * steps
+    whole_s = seconds_since_1970(1900 + year, month + 1, day, hour, minute, second)
+    return None if whole_s is None else whole_s + 1e-4 * steps
 
 
 def _sensors(data: bytes) -> dict[str, float | None]:

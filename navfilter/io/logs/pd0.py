@@ -14,7 +14,6 @@ and in forward, right, down the ship frame reads ``axes = "-y,-x,z"``; of the ea
 else the instrument's clock, which need not be.
 """
 
-import datetime
 import math
 import statistics
 import struct
@@ -24,7 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from navfilter.io.logs.lines import byte_bar
-from navfilter.io.logs.sentence_times import number_of, time_of_day
+from navfilter.io.logs.sentence_times import number_of, seconds_since_1970, time_of_day
 from navfilter.io.logs.slocum import degrees_of
 from navfilter.io.logs.topic_names import INSTRUMENT, Wanted
 
@@ -32,7 +31,7 @@ _IDENTIFIER = b"\x7f\x7f"
 _CHUNK = 1 << 20
 _FIXED, _VARIABLE, _BOTTOM, _NAVIGATION = 0x0000, 0x0080, 0x0600, 0x2000
 _BAD = -32768
-_EPOCH, _DAY_S = datetime.datetime(1970, 1, 1), 86400.0
+_DAY_S = 86400.0
 _EARTH = 3
 #: Angle of the beams by the system configuration [deg]; 0: the leader has it elsewhere.
 _ANGLES = (15, 20, 30, 0)
@@ -170,11 +169,8 @@ def _time_s(leader: bytes) -> float | None:
         year += 1900 if year >= 80 else 2000
     else:
         return None
-    try:
-        moment = datetime.datetime(year, month, day, hour, minute, second)
-    except ValueError:
-        return None
-    return (moment - _EPOCH).total_seconds() + 0.01 * hundredths
+    whole_s = seconds_since_1970(year, month, day, hour, minute, second)
+    return None if whole_s is None else whole_s + 0.01 * hundredths
 
 
 def _sensors(leader: bytes, fixed: bytes) -> dict[str, float | None]:
@@ -233,9 +229,8 @@ def _navigation(block: bytes) -> dict[str, float | None] | None:
     day, month, year, first_s, offset_ms, lat_1, lon_1, last_s, lat_2, lon_2 = struct.unpack_from(
         "<BBHIiiiIii", block, 2
     )
-    try:
-        midnight = (datetime.datetime(year, month, day) - _EPOCH).total_seconds() if year and month and day else 0.0
-    except ValueError:
+    midnight = seconds_since_1970(year, month, day) if year and month and day else 0.0
+    if midnight is None:
         return None
     record: dict[str, float | None] = {
         "latitude": _BINARY_ANGLE * lat_2,

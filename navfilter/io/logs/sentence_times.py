@@ -114,6 +114,14 @@ class Carrier:
         self._waiting = []
 
 
+def seconds_since_1970(*fields: int) -> float | None:
+    """Of a date and time of day, in UTC: year, month, day, hour, minute, second; None where that is no date."""
+    try:
+        return datetime.datetime(*fields, tzinfo=datetime.UTC).timestamp()  # type: ignore[misc,arg-type]
+    except ValueError:
+        return None
+
+
 def number_of(text: str | bytes) -> float | None:
     """A number as a sentence has it; None where it is none."""
     try:

@@ -11,8 +11,6 @@ from navfilter.io.validation import Strict, at_least_one, read_toml, validate
 from navfilter.track.heave import heave
 from navfilter.track.track import Track
 
-#: Columns that are not in `Track.to_frame`.
-_MORE = ("heave_m", "speed_m_s", "course_deg")
 _BREAKS = {"tab": "\t", "blank": " "}
 
 

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
@@ -90,15 +89,11 @@ def _write(track: Track, folder: Path, storage: StoragePlugin) -> None:
             topics.append((f"/navfilter/{names[name]}/nis", "std_msgs/msg/Float64", _nis(track, residuals)))
         connections = [writer.add_connection(topic, kind, typestore=_STORE) for topic, kind, _ in topics]
         for stamp, k, message in heapq.merge(*(_numbered(k, topic[2]) for k, topic in enumerate(topics))):
-            _put(writer, connections[k], stamp, message)
+            writer.write(connections[k], stamp, _STORE.serialize_cdr(message, connections[k].msgtype))
 
 
 def _numbered(number: int, messages: Iterator[tuple[int, Any]]) -> Stamped:
     return ((stamp, number, message) for stamp, message in messages)
-
-
-def _put(writer: Writer, connection: Connection, stamp: int, message: Any) -> None:
-    writer.write(connection, stamp, _STORE.serialize_cdr(message, connection.msgtype))
 
 
 def _topic_names(track: Track) -> dict[str, str]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from navfilter.foundation import utc
 from navfilter.foundation.atomic_files import pieces, replacing_binary
-from navfilter.kernels import number_text
 from navfilter.models.mission import Mission
 from navfilter.models.vehicle import Vehicle
 from navfilter.track.track import Track
@@ -18,8 +17,6 @@ from navfilter.track.track import Track
 #: Decimals; 1e-10 degrees are 0.01 mm. Of any other quantity seven significant figures are more than it has.
 _DIGITS = {"time_s": 6, "latitude_deg": 10, "longitude_deg": 10, "height_m": 5, "depth_m": 5}
 _FIGURES = -7
-#: Numbers in a file from which on a kernel writes them: Python takes as long for so many as compiling it takes.
-LONG = 5_000_000
 _AXES = ("north", "east", "down")
 _WANTED = ("time_s", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "heading_deg")
 
@@ -34,13 +31,10 @@ def write(track: Track, path: Path, mission: Mission | None = None) -> None:
             marks = None if track.epoch_utc_s is None else utc.text(track.time_s[rows], track.epoch_utc_s)
             frame = frame.drop(columns="time_utc", errors="ignore")
             digits = [_DIGITS.get(name, _FIGURES) for name in frame.columns]
-            compiled = len(track) * len(digits) >= LONG
-            file.write(text_of_rows(frame.to_numpy(dtype=float), digits, marks, compiled=compiled))
+            file.write(text_of_rows(frame.to_numpy(dtype=float), digits, marks))
 
 
-def text_of_rows(
-    values: NDArray[np.float64], digits: Sequence[int], marks: NDArray[np.str_] | None = None, *, compiled: bool = False
-) -> bytes:
+def text_of_rows(values: NDArray[np.float64], digits: Sequence[int], marks: NDArray[np.str_] | None = None) -> bytes:
     """Rows with commas between the numbers, as Python's ``%`` writes them.
 
     Parameters
@@ -49,17 +43,13 @@ def text_of_rows(
     digits : sequence of int
         Of each column: as ``%.{digits}f``; where negative, as ``%.{-digits}g``.
     marks : ndarray of str, shape (n,), optional
-        A further column behind the first, all of one length, in ASCII.
-    compiled : bool
-        By the kernel, which gives the same.
+        A further column behind the first.
 
     Examples
     --------
     >>> text_of_rows(np.array([[0.5, 1.0 / 3.0], [1.0, 2e-9]]), (1, -3))
     b'0.5,0.333\\n1.0,2e-09\\n'
     """
-    if compiled:
-        return _compiled(values, digits, marks)
     formats = [f"%.{d}f" if d >= 0 else f"%.{-d}g" for d in digits]
     row = ",".join(formats) + "\n"
     if marks is None:
@@ -67,24 +57,6 @@ def text_of_rows(
     row = row.replace(",", ",%s,", 1)
     pairs = zip(values.tolist(), marks.tolist(), strict=True)
     return "".join([row % (numbers[0], mark, *numbers[1:]) for numbers, mark in pairs]).encode()
-
-
-def _compiled(values: NDArray[np.float64], digits: Sequence[int], marks: NDArray[np.str_] | None) -> bytes:
-    flat, places = np.ascontiguousarray(values, dtype=np.float64).reshape(-1), np.array(digits, dtype=np.int64)
-    wide = np.zeros((len(values), 0), np.uint8) if marks is None else _characters(marks)
-    room = np.empty((flat.size + 20) * number_text.WIDEST + wide.size + len(values), np.uint8)
-    parts, done, given = [], 0, np.zeros(0, np.uint8)
-    while done < flat.size:
-        done, size = number_text.rows_of_text(flat, places, wide, given, done, room)
-        parts.append(room[:size].tobytes())
-        if done < flat.size:  # too near to a tie, too large, or no number
-            one = text_of_rows(flat[done : done + 1, None], (int(places[done % places.size]),))
-            given = np.frombuffer(one, np.uint8)[:-1].copy()
-    return b"".join(parts)
-
-
-def _characters(marks: NDArray[np.str_]) -> NDArray[np.uint8]:
-    return np.char.encode(marks, "ascii").view(np.uint8).reshape(len(marks), -1)
 
 
 # --- reading one back ------------------------------------------------------------------------------------------------
@@ -118,8 +90,8 @@ def read_track(path: str | os.PathLike[str], vehicle: Vehicle, label: str | None
             f"{file} is no track.csv of navfilter: it has {'no row' if not missing else f'no {missing[0]}'}."
         )
 
-    def columns(names: list[str], otherwise: float = 0.0) -> np.ndarray:
-        found = [table[name] if name in table.columns else np.full(len(table), otherwise) for name in names]
+    def columns(names: list[str]) -> np.ndarray:
+        found = [table[name] if name in table.columns else np.zeros(len(table)) for name in names]
         return np.column_stack(found).astype(float)
 
     sd = columns([f"position_{a}_sd_m" for a in _AXES] + [f"velocity_{a}_sd_m_s" for a in _AXES])

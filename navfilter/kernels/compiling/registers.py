@@ -1,7 +1,7 @@
 """Eight numbers as one value: what is done to one is done to all, in few instructions where the processor has them.
 
 ``load(array, row)`` reads such a value from an array whose last axis is a multiple of `LANES` long; ``row`` counts
-those. ``store`` writes it there. (A loop over eight elements would be turned into such instructions only where the
+those. ``store`` writes it there. (A loop over eight elements would be transpose into such instructions only where the
 compiler can prove that arrays do not overlap.) Without the compiler such a value is an array.
 """
 
@@ -14,9 +14,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin, models, register_model
 
 __all__ = [
-    *("LANES", "VECTOR", "across", "all_below", "all_of", "call", "column", "compiled", "eight", "fetch", "first_six"),
-    *("if_below", "if_equal", "lanes", "load", "magnitude", "not_zero", "put", "put_away", "put_column", "spread"),
-    *("store", "times", "transposed"),
+    *("LANES", "VECTOR", "all_of", "call", "compiled", "eight", "exchange", "fetch", "if_below", "lanes", "load"),
+    *("magnitude", "not_zero", "put", "put_away", "spread", "stand_for", "store", "times", "transpose"),
 ]
 
 #: Numbers at a time: what the widest registers there are hold.
@@ -63,29 +62,23 @@ def put(array, first, value):
     array[first : first + LANES] = value
 
 
-def across(array, first, width, columns):
-    """Eight times eight numbers of an array of one axis, `width` apart, from `first` on, as columns of a square one."""
-    columns[:] = np.array([array[first + width * i :][:LANES] for i in range(LANES)]).T
+def transpose(A, i, wide, B, j, width):
+    """The square block of eight rows, `wide` apart, from element i of A on, transposed to B, rows `width` apart."""
+    for k, row in enumerate(np.array([A[i + wide * k :][:LANES] for k in range(LANES)]).T):
+        B[j + width * k :][:LANES] = row
+
+
+def exchange(A, i, wide, B, j, width):
+    """`transpose` there and back at once."""
+    block = np.array([B[j + width * k :][:LANES] for k in range(LANES)]).T
+    transpose(A, i, wide, B, j, width)
+    for k, row in enumerate(block):
+        A[i + wide * k :][:LANES] = row
 
 
 def all_of(number):
     """Eight times the same number."""
     return np.full(LANES, number)
-
-
-def first_six(a, b, c, d, e, f):
-    """Six numbers, and two that are 0."""
-    return np.array([a, b, c, d, e, f, 0.0, 0.0])
-
-
-def column(table, j):
-    """Six numbers of a column of a table, and two that are 0."""
-    return np.append(table[:6, j], [0.0, 0.0])
-
-
-def put_column(table, j, value):
-    """The first six numbers into a column of a table."""
-    table[:6, j] = value[:6]
 
 
 def times(a, b):
@@ -106,16 +99,6 @@ def not_zero(value):
 def if_below(a, b, yes, no):
     """One or the other, where the first is the lesser one, and where it is not."""
     return np.where(a < b, yes, no)
-
-
-def if_equal(a, b, yes, no):
-    """One or the other, where two are equal, and where they are not."""
-    return np.where(a == b, yes, no)
-
-
-def all_below(a, b):
-    """Whether of the first six numbers all are less than the others'; a NaN is not."""
-    return bool(np.all(a[:6] < b[:6]))
 
 
 def compiled(function, result, *kinds):
@@ -197,18 +180,26 @@ def transposed(builder, rows):
     return rows
 
 
-@compiled(across, types.void, types.Array, types.Integer, types.Integer, types.Array)
-def _build_across(context, builder, kinds, arguments):
-    of, to = (context.make_array(kinds.args[i])(context, builder, value=arguments[i]).data for i in (0, 3))
-    place, width = (context.cast(builder, arguments[i], kinds.args[i], types.intp) for i in (1, 2))
-    rows = []
-    for _ in range(LANES):
-        rows.append(fetch(builder, builder.gep(of, [place])))
-        place = builder.add(place, width)
-    to = builder.bitcast(to, VECTOR.as_pointer())
-    for i, row in enumerate(transposed(builder, rows)):
-        builder.store(row, builder.gep(to, [_ir.Constant(_INDEX, i)]), align=8)
-    return context.get_dummy_value()
+def _compile_turns(function, both):
+    """Of one block into the other's place, or of both."""
+
+    @compiled(function, types.void, *(types.Array, types.Integer, types.Integer) * 2)
+    def build(context, builder, kinds, arguments):
+        blocks = []
+        for k in (0, 3):
+            data = context.make_array(kinds.args[k])(context, builder, value=arguments[k]).data
+            place, width = (context.cast(builder, arguments[n], kinds.args[n], types.intp) for n in (k + 1, k + 2))
+            rows = [builder.add(place, builder.mul(width, _ir.Constant(width.type, i))) for i in range(LANES)]
+            blocks.append([builder.gep(data, [row]) for row in rows])
+        moved = [[fetch(builder, place) for place in block] for block in blocks[: 1 + both]]
+        for block, rows in zip(reversed(blocks), moved, strict=False):
+            for place, row in zip(block, transposed(builder, rows), strict=True):
+                put_away(builder, row, place)
+        return context.get_dummy_value()
+
+
+_compile_turns(transpose, False)
+_compile_turns(exchange, True)
 
 
 def call(builder, name, *arguments):
@@ -218,42 +209,15 @@ def call(builder, name, *arguments):
     return builder.call(called, arguments)
 
 
-@compiled(first_six, lanes, *[types.Float] * 6)
-def _build_six(context, builder, kinds, arguments):
-    value = _ir.Constant(VECTOR, [0.0] * LANES)
-    for i, argument in enumerate(arguments):
-        value = builder.insert_element(value, argument, _ir.Constant(_INDEX, i))
-    return value
+def stand_for(function, name):
+    """Let one of the compiler's own functions stand for a function of such values in kernels."""
+
+    @compiled(function, lanes, *[lanes] * function.__code__.co_argcount)
+    def build_call(context, builder, kinds, arguments):
+        return call(builder, name, *arguments)
 
 
-def _in_column(context, builder, kinds, arguments):
-    """Pointers to the first six numbers of column `arguments[1]` of a table."""
-    table = context.make_array(kinds[0])(context, builder, value=arguments[0])
-    place, width = (
-        context.cast(builder, arguments[1], kinds[1], types.intp),
-        cgutils.unpack_tuple(builder, table.shape)[1],
-    )
-    for _ in range(6):
-        yield builder.gep(table.data, [place])
-        place = builder.add(place, width)
-
-
-@compiled(column, lanes, types.Array, types.Integer)
-def _build_column(context, builder, kinds, arguments):
-    places = _in_column(context, builder, kinds.args, arguments)
-    return _build_six(context, builder, kinds, [builder.load(place) for place in places])
-
-
-@compiled(put_column, types.void, types.Array, types.Integer, lanes)
-def _build_put_column(context, builder, kinds, arguments):
-    for i, place in enumerate(_in_column(context, builder, kinds.args, arguments)):
-        builder.store(builder.extract_element(arguments[2], _ir.Constant(_INDEX, i)), place)
-    return context.get_dummy_value()
-
-
-@compiled(magnitude, lanes, lanes)
-def _build_magnitude(context, builder, kinds, arguments):
-    return call(builder, "fabs", *arguments)
+stand_for(magnitude, "fabs")
 
 
 @compiled(not_zero, types.int64, lanes)
@@ -265,18 +229,6 @@ def _build_not_zero(context, builder, kinds, arguments):
 @compiled(if_below, lanes, lanes, lanes, lanes, lanes)
 def _build_if_below(context, builder, kinds, arguments):
     return builder.select(builder.fcmp_ordered("<", *arguments[:2]), *arguments[2:])
-
-
-@compiled(if_equal, lanes, lanes, lanes, lanes, lanes)
-def _build_if_equal(context, builder, kinds, arguments):
-    return builder.select(builder.fcmp_ordered("==", *arguments[:2]), *arguments[2:])
-
-
-@compiled(all_below, types.boolean, lanes, lanes)
-def _build_all_below(context, builder, kinds, arguments):
-    bits = builder.bitcast(builder.fcmp_ordered("<", *arguments), _ir.IntType(LANES))
-    six = _ir.Constant(_ir.IntType(LANES), 2**6 - 1)
-    return builder.icmp_unsigned("==", builder.and_(bits, six), six)
 
 
 def _compile_operators():

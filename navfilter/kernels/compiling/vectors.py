@@ -9,206 +9,136 @@ import numpy as np
 from numba import types
 from numba.core import cgutils
 
-from navfilter.kernels.compiling.registers import LANES, VECTOR, call, compiled, fetch, put_away, spread, transposed
+from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit
+from navfilter.kernels.compiling.registers import (
+    LANES,
+    VECTOR,
+    all_of,
+    call,
+    compiled,
+    eight,
+    fetch,
+    if_below,
+    put,
+    put_away,
+    spread,
+    times,
+    transpose,
+)
 
-# Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
-HIGH, WIDE = 9, 8
-# So many terms of each sum of a product at a time: where its nine rows stand is then found out once for them.
-STEPS = 4
-# So many times as many columns of a weighted sum, and pairs of vectors that are taken off, at a time.
-BROAD = 3
+WIDE = LANES
+# Which of eight numbers each is.
+COLUMNS = np.arange(float(WIDE))
 _ir = cgutils.ir
-_WORD, _INDEX = _ir.IntType(64), _ir.IntType(32)
-_ZERO, _PLACES = _ir.Constant(VECTOR, [0.0] * WIDE), _ir.Constant(_ir.VectorType(_WORD, WIDE), list(range(WIDE)))
+_INDEX = _ir.IntType(32)
 
 
+@njit(apart=True, cache=True, **UNCOUNTED)
 def product(A, B, out):
-    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least."""
-    np.dot(A, B[:, : out.shape[1]], out)
+    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least.
+
+    Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
+    than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
+    processor can.
+    """
+    for i in range(0, out.shape[0], 9):
+        r = min(i, out.shape[0] - 9)
+        for j in range(0, out.shape[1], WIDE):
+            c = min(j, out.shape[1] - WIDE)
+            s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = all_of(0.0)
+            for k in range(A.shape[1]):
+                b = eight(B[k], c)
+                s0 = s0 + all_of(A[r, k]) * b
+                s1 = s1 + all_of(A[r + 1, k]) * b
+                s2 = s2 + all_of(A[r + 2, k]) * b
+                s3 = s3 + all_of(A[r + 3, k]) * b
+                s4 = s4 + all_of(A[r + 4, k]) * b
+                s5 = s5 + all_of(A[r + 5, k]) * b
+                s6 = s6 + all_of(A[r + 6, k]) * b
+                s7 = s7 + all_of(A[r + 7, k]) * b
+                s8 = s8 + all_of(A[r + 8, k]) * b
+            put(out[r], c, s0)
+            put(out[r + 1], c, s1)
+            put(out[r + 2], c, s2)
+            put(out[r + 3], c, s3)
+            put(out[r + 4], c, s4)
+            put(out[r + 5], c, s5)
+            put(out[r + 6], c, s6)
+            put(out[r + 7], c, s7)
+            put(out[r + 8], c, s8)
 
 
+@njit(cache=True, inline="always", **UNCOUNTED)
 def weighted(f, A, out):
-    """The sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at least."""
-    np.copyto(out, f @ A[: len(f), : len(out)])
+    """The sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at least.
+
+    Three registers at a time, which may overlap; rows whose factor is zero are left out.
+    """
+    last, width, rows = out.size - WIDE, A.shape[1], flat(A)
+    for begin in range(0, out.size, 3 * WIDE):
+        i, j, k = min(begin, last), min(begin + WIDE, last), min(begin + 2 * WIDE, last)
+        x = y = z = all_of(0.0)
+        for r in range(f.size):
+            if f[r] != 0.0:
+                row, factor = r * width, all_of(f[r])
+                x = x + times(factor, eight(rows, row + i))
+                y = y + times(factor, eight(rows, row + j))
+                z = z + times(factor, eight(rows, row + k))
+        put(out, i, x)
+        put(out, j, y)
+        put(out, k, z)
 
 
+@njit(cache=True, inline="always", **UNCOUNTED)
+def _fresh(row, j, done):
+    """Eight numbers of a row from j on; zeros for the first, of what has been done before."""
+    return if_below(eight(COLUMNS, 0), done, all_of(0.0), eight(row, j))
+
+
+@njit(cache=True, **UNCOUNTED)
 def rank2_update(P, u, w):
-    """P <- P - u' w - w' u of rows u and w (a, n): symmetric to the bit where P (n, n) was; n: eight at least."""
-    for f, g in zip(u, w, strict=True):
-        np.subtract(P, np.outer(f, g) + np.outer(g, f), P)
+    """P <- P - u' w - w' u of rows u and w (a, n): symmetric to the bit where P (n, n) was; n: eight at least.
+
+    Three pairs of rows at a time, or one: each element of P is fetched and put away once for them.
+    """
+    n, rows, whole = P.shape[0], flat(P), u.shape[0] // 3 * 3
+    for begin in range(0, n, WIDE):
+        j = min(begin, n - WIDE)
+        done = all_of(float(begin - j))
+        for r in range(0, whole, 3):
+            f0, f1, f2 = _fresh(u[r], j, done), _fresh(u[r + 1], j, done), _fresh(u[r + 2], j, done)
+            g0, g1, g2 = _fresh(w[r], j, done), _fresh(w[r + 1], j, done), _fresh(w[r + 2], j, done)
+            for i in range(n):
+                value = eight(rows, i * n + j)
+                value = value - (times(all_of(u[r, i]), g0) + times(all_of(w[r, i]), f0))
+                value = value - (times(all_of(u[r + 1, i]), g1) + times(all_of(w[r + 1, i]), f1))
+                value = value - (times(all_of(u[r + 2, i]), g2) + times(all_of(w[r + 2, i]), f2))
+                put(rows, i * n + j, value)
+        for r in range(whole, u.shape[0]):
+            f0, g0 = _fresh(u[r], j, done), _fresh(w[r], j, done)
+            for i in range(n):
+                less = times(all_of(u[r, i]), g0) + times(all_of(w[r, i]), f0)
+                put(rows, i * n + j, eight(rows, i * n + j) - less)
 
 
+@njit(cache=True, **UNCOUNTED)
 def less_half(P, f, A, out):
     """Row P less half the sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at
     least. One after the other.
     """
-    np.copyto(out, P[: len(out)])
-    for factor, row in zip(f, A, strict=False):
-        np.subtract(out, 0.5 * factor * row[: len(out)], out)
+    for begin in range(0, out.size, WIDE):
+        j = min(begin, out.size - WIDE)
+        total = eight(P, j)
+        for r in range(f.size):
+            total = total - times(all_of(f[r] * 0.5), eight(A[r], j))
+        put(out, j, total)
 
 
+@njit(cache=True, **UNCOUNTED)
 def mirror(M, i, j):
     """The square block of eight rows from i and eight columns from j on, transposed to across the diagonal."""
-    np.copyto(M[j : j + WIDE, i : i + WIDE], M[i : i + WIDE, j : j + WIDE].T)
-
-
-def _built_in(function, count, numbers=0):
-    """Decorates what builds the instructions that stand for a function of so many arrays, and then whole numbers, in a
-    kernel.
-    """
-
-    def built(build):
-        @compiled(function, types.void, *(types.Array,) * count, *(types.Integer,) * numbers)
-        def generate(context, builder, kinds, arguments):
-            given = list(zip(kinds.args, arguments, strict=True))
-            arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given[:count]]
-            shapes = [cgutils.unpack_tuple(builder, array.shape) for array in arrays]
-            whole = [context.cast(builder, value, kind, types.int64) for kind, value in given[count:]]
-            build(builder, [array.data for array in arrays], shapes, *whole)
-            return context.get_dummy_value()
-
-        return build
-
-    return built
-
-
-def _number(value):
-    return _ir.Constant(_WORD, value)
-
-
-def _parts(builder, total, size):
-    """Loop over parts of this size."""
-    return cgutils.for_range(builder, builder.udiv(builder.add(total, _number(size - 1)), _number(size)), intp=_WORD)
-
-
-def _begin(builder, part, total, size):
-    """Where a part begins: the last one overlaps those before."""
-    begin, last = builder.mul(part.index, _number(size)), builder.sub(total, _number(size))
-    return builder.select(builder.icmp_signed("<", begin, last), begin, last)
-
-
-def _place(builder, data, i, width, j):
-    return builder.gep(data, [builder.add(builder.mul(i, width), j)])
-
-
-@_built_in(product, 3)
-def _build_product(builder, data, shapes):
-    """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
-    than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
-    processor can.
-    """
-    (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
-    sums = [cgutils.alloca_once(builder, VECTOR) for _ in range(HIGH)]
-    with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
-        first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
-        places = [builder.add(first, _number(i)) for i in range(HIGH)]
-        mine = [_place(builder, left, i, inner, _number(0)) for i in places]
-        for total in sums:
-            builder.store(_ZERO, total)
-        several = builder.udiv(inner, _number(STEPS))
-
-        def add(first, count):
-            for i in range(count):
-                step = builder.add(first, _number(i))
-                factors = fetch(builder, _place(builder, right, step, width, column))
-                for total, terms in zip(sums, mine, strict=True):
-                    term = spread(builder, builder.load(builder.gep(terms, [step])))
-                    term = builder.fmul(term, factors, flags=("contract",))
-                    builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
-
-        with cgutils.for_range(builder, several, intp=_WORD) as steps:
-            add(builder.mul(steps.index, _number(STEPS)), STEPS)
-        done = builder.mul(several, _number(STEPS))
-        with cgutils.for_range(builder, builder.sub(inner, done), intp=_WORD) as step:
-            add(builder.add(done, step.index), 1)
-        for i, total in zip(places, sums, strict=True):
-            put_away(builder, builder.load(total), _place(builder, out, i, n, column))
-
-
-@_built_in(weighted, 3)
-def _build_weighted(builder, data, shapes):
-    """As many columns at a time as `BROAD` registers hold, or eight; rows whose factor is zero are left out."""
-    (f, A, out), ((k,), (_, width), (n,)) = data, shapes
-
-    def by(count):
-        size = count * WIDE
-        sums = [cgutils.alloca_once(builder, VECTOR) for _ in range(count)]
-        with _parts(builder, n, size) as wide:
-            begin = _begin(builder, wide, n, size)
-            columns = [builder.add(begin, _number(WIDE * i)) for i in range(count)]
-            for total in sums:
-                builder.store(_ZERO, total)
-            with cgutils.for_range(builder, k, intp=_WORD) as step:
-                factor = builder.load(builder.gep(f, [step.index]))
-                with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                    factor = spread(builder, factor)
-                    for column, total in zip(columns, sums, strict=True):
-                        term = builder.fmul(factor, fetch(builder, _place(builder, A, step.index, width, column)))
-                        builder.store(builder.fadd(builder.load(total), term), total)
-            for column, total in zip(columns, sums, strict=True):
-                put_away(builder, builder.load(total), builder.gep(out, [column]))
-
-    with builder.if_else(builder.icmp_signed("<", n, _number(BROAD * WIDE))) as (few, many):
-        with few:
-            by(1)
-        with many:
-            by(BROAD)
-
-
-@_built_in(less_half, 4)
-def _build_less_half(builder, data, shapes):
-    """Eight columns at a time."""
-    (P, f, A, out), (_, (k,), (_, width), (n,)) = data, shapes
-    total = cgutils.alloca_once(builder, VECTOR)
-    with _parts(builder, n, WIDE) as wide:
-        column = _begin(builder, wide, n, WIDE)
-        builder.store(fetch(builder, builder.gep(P, [column])), total)
-        with cgutils.for_range(builder, k, intp=_WORD) as step:
-            factor = builder.load(builder.gep(f, [step.index]))
-            factor = spread(builder, builder.fmul(factor, _ir.Constant(factor.type, 0.5)))
-            term = builder.fmul(factor, fetch(builder, _place(builder, A, step.index, width, column)))
-            builder.store(builder.fsub(builder.load(total), term), total)
-        put_away(builder, builder.load(total), builder.gep(out, [column]))
-
-
-@_built_in(mirror, 1, 2)
-def _build_mirror(builder, data, shapes, i, j):
-    ((M,), ((_, n),)) = data, shapes
-    rows = [fetch(builder, _place(builder, M, builder.add(i, _number(k)), n, j)) for k in range(WIDE)]
-    for k, row in enumerate(transposed(builder, rows)):
-        put_away(builder, row, _place(builder, M, builder.add(j, _number(k)), n, i))
-
-
-@_built_in(rank2_update, 3)
-def _build_less_twice(builder, data, shapes):
-    """Eight columns at a time, `BROAD` pairs of rows or one: each element of P is fetched and put away once for them.
-    Of the last columns those that have been done before are multiplied by zeros.
-    """
-    (P, u, w), ((n, _), (a, _), _) = data, shapes
-
-    def less(first, count, column, fresh):
-        rows = [builder.mul(builder.add(first, _number(i)), n) for i in range(count)]
-        pairs = [(builder.gep(u, [row]), builder.gep(w, [row])) for row in rows]
-        mine = [[fetch(builder, builder.gep(row, [column])) for row in pair] for pair in pairs]
-        mine = [[builder.select(fresh, row, _ZERO) for row in pair] for pair in mine]
-        with cgutils.for_range(builder, n, intp=_WORD) as i:
-            place = _place(builder, P, i.index, n, column)
-            value = fetch(builder, place)
-            for pair, (wide_u, wide_w) in zip(pairs, mine, strict=True):
-                by_u, by_w = (spread(builder, builder.load(builder.gep(row, [i.index]))) for row in pair)
-                value = builder.fsub(value, builder.fadd(builder.fmul(by_u, wide_w), builder.fmul(by_w, wide_u)))
-            put_away(builder, value, place)
-
-    whole = builder.udiv(a, _number(BROAD))
-    with _parts(builder, n, WIDE) as wide:
-        column = _begin(builder, wide, n, WIDE)
-        known = builder.sub(builder.mul(wide.index, _number(WIDE)), column)
-        fresh = builder.icmp_signed(">=", _PLACES, spread(builder, known))
-        with cgutils.for_range(builder, whole, intp=_WORD) as several:
-            less(builder.mul(several.index, _number(BROAD)), BROAD, column, fresh)
-        done = builder.mul(whole, _number(BROAD))
-        with cgutils.for_range(builder, builder.sub(a, done), intp=_WORD) as one:
-            less(builder.add(done, one.index), 1, column, fresh)
+    n = M.shape[1]
+    transpose(flat(M), i * n + j, n, flat(M), j * n + i, n)
 
 
 class Row:
@@ -305,23 +235,6 @@ def build_panels(carried, panel, alone, numbers, turns, errors):
         return context.get_dummy_value()
 
 
-def exchange(X, one, other, of_one, of_other):
-    """Two square blocks of panels, whose elements begin at `one` and `other` in X, transposed to where these begin."""
-    blocks = [X[begin : begin + WIDE * WIDE].reshape(WIDE, WIDE).T.copy() for begin in (one, other)]
-    for begin, block in zip((of_one, of_other), blocks, strict=True):
-        np.copyto(X[begin : begin + WIDE * WIDE], block.ravel())
-
-
-@_built_in(exchange, 1, 4)
-def _build_exchange(builder, data, shapes, *begins):
-    """In registers, see `registers.transposed`."""
-    places = [[builder.gep(data[0], [builder.add(begin, _number(WIDE * i))]) for i in range(WIDE)] for begin in begins]
-    blocks = [[fetch(builder, place) for place in block] for block in places[:2]]
-    for block, rows in zip(places[2:], blocks, strict=True):
-        for place, value in zip(block, transposed(builder, rows), strict=True):
-            put_away(builder, value, place)
-
-
 class WrittenRows:
     """Rows of an array in a function that is being written out: read when first used, written at the end."""
 
@@ -339,7 +252,7 @@ class WrittenRows:
         return self.rows[row]
 
     def _at(self, row):
-        return self.builder.gep(self.first, [_number(row * LANES)])
+        return self.builder.gep(self.first, [_ir.Constant(_ir.IntType(64), row * LANES)])
 
     def write(self):
         """Those that are others now."""
@@ -383,16 +296,3 @@ def write_out(function, write, cases, arrays, numbers):
             builder.branch(after)
         builder.position_at_end(after)
         return context.get_dummy_value()
-
-
-def copy_row(A, B, i, j, known):
-    """Elements j to j + 8 of B to where those from i on stand in A: the first `known`, and zeros for the others."""
-    np.copyto(A[i : i + WIDE], np.where(np.arange(WIDE) < known, B[j : j + WIDE], 0.0))
-
-
-@_built_in(copy_row, 2, 3)
-def _build_copy_row(builder, data, shapes, i, j, known):
-    """In one register: a panel is loaded in such rows, which have to wait for what was stored in other pieces."""
-    to, of = (builder.gep(array, [begin]) for array, begin in zip(data, (i, j), strict=True))
-    kept = builder.icmp_signed("<", _PLACES, spread(builder, known))
-    put_away(builder, builder.select(kept, fetch(builder, of), _ZERO), to)

@@ -455,10 +455,8 @@ def replayed_lanes(
     """
     began = time.process_time()
     run = LaneReplay(vehicle, mission, start, output_rate_hz, smooth)
-    shown = bar(run.readings, "filter", progress)
-    run.run(None if shown is None else shown.update)
-    if shown is not None:
-        shown.close()
+    with bar(run.readings, "filter", progress) as told:
+        run.run(told)
     track = _forward(run, mission, began)
     if not smooth:
         return track

@@ -255,41 +255,6 @@ class ArmaBank(Shown):
         self._walk_sd = 0.0
         self._model = moment_gm1(series[-self.window :], self.mean)
 
-    # ------------------------------------------------------------------ keep and bring back
-
-    def snapshot(self) -> dict[str, Array]:
-        """All that the bank knows, as a plain dict of arrays (fit for ``numpy.savez``)."""
-        kept = {f"{i}/{name}": v for i, c in enumerate(self.candidates) for name, v in c.snapshot().items()}
-        chosen = -1 if self._chosen is None else self._chosen
-        model, n = self._model, self._model.p + self._model.q
-        challenger = -1 if self._challenge.order is None else self.orders.index(self._challenge.order)
-        kept["choice"] = np.array(
-            [chosen, challenger, self._challenge.leads, self._stale, self._walk_sd], dtype=np.float64
-        )
-        kept["model"] = np.r_[model.p, model.q, model.ar, model.ma, model.sd]
-        kept["model_covariance"] = np.full((n, n), np.nan) if model.covariance is None else model.covariance.copy()
-        optional = (model.sd_log_s0, model.effective_window)
-        kept["model_extra"] = np.array([np.nan if v is None else v for v in optional])
-        kept["model_flags"] = np.frombuffer(",".join(sorted(model.flags)).encode(), dtype=np.uint8).astype(np.float64)
-        return kept
-
-    def restore(self, snapshot: dict[str, Array]) -> None:
-        """Continue from a `snapshot` of a bank built with the same arguments, to the last bit."""
-        for i, candidate in enumerate(self.candidates):
-            own = {name[len(f"{i}/") :]: v for name, v in snapshot.items() if name.startswith(f"{i}/")}
-            candidate.restore(own)
-        chosen, challenger, leads, stale, self._walk_sd = (float(v) for v in snapshot["choice"])
-        self._chosen = None if chosen < 0 else int(chosen)
-        self._challenge = Challenge(None if challenger < 0 else self.orders[int(challenger)], int(leads))
-        self._stale = int(stale)
-        p, q = int(snapshot["model"][0]), int(snapshot["model"][1])
-        ar, ma, sd = np.split(snapshot["model"][2:], [p, p + q])
-        covariance = snapshot["model_covariance"]
-        spread, length = (None if np.isnan(v) else float(v) for v in snapshot["model_extra"])
-        known = None if np.any(np.isnan(covariance)) or (p + q == 0 and spread is None) else covariance
-        flags = bytes(snapshot["model_flags"].astype(np.uint8)).decode()
-        self._model = ArmaModel(ar, ma, float(sd[0]), known, spread, length, frozenset(flags.split(",")) - {""})
-
 
 def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
     """First-order Gauss-Markov model from variance and lag-one correlation, the pole capped at ``1 - 3/N``.
@@ -327,8 +292,8 @@ class FrontEnd(Shown):
     The first `learn` samples are looked at before any is passed on: the step of the digits is found, and how often a
     value repeats. If values repeat far more often than the digits explain, the sensor is slower than the logger, and
     repeats are dropped (time does not advance); if they repeat now and then, it gets stuck, and repeats count as
-    missing. Mean, regressors and clipping of innovations are the estimator's (`mean`, `exog`, `clip`): they are
-    carried beside the coefficients, because subtracting them first shortens slow correlations.
+    missing. Mean and clipping of innovations are the estimator's (`mean`, `clip`): they are carried beside the
+    coefficients, because subtracting them first shortens slow correlations.
 
     Parameters
     ----------
@@ -376,8 +341,7 @@ class FrontEnd(Shown):
         self.difference, self.season, self.repeats, self.learn = int(difference), int(season), repeats, int(learn)
         self.resolution = 0.0
         self.dropped = 0
-        self._exog = isinstance(estimator, RecursiveArma) and estimator.n_exog > 0
-        self._held: list[tuple[float, ArrayLike | None]] = []
+        self._held: list[float] = []
         self._handling = "keep" if repeats == "auto" else repeats
         self._learnt = False
         self._last = math.nan
@@ -391,27 +355,26 @@ class FrontEnd(Shown):
         rows = {"resolution": f"{self.resolution:.4g}", "repeats": repeats, "difference": self.difference, **rows}
         return f"FrontEnd of {title}{looking}", rows
 
-    def update(self, x: float, exog: ArrayLike | None = None) -> None:
-        """Take one raw sample (NaN if it is missing) and the estimator's regressors, if it has any."""
+    def update(self, x: float) -> None:
+        """Take one raw sample (NaN if it is missing)."""
         if self._learnt:
-            self._pass_on(float(x), exog)
+            self._pass_on(float(x))
             return
-        self._held.append((float(x), exog))
+        self._held.append(float(x))
         if len(self._held) >= self.learn:
             self.flush()
 
-    def update_many(self, series: ArrayLike, exog: ArrayLike | None = None) -> None:
-        """Take raw samples in order, shape (N,), with regressors of shape (N, k)."""
+    def update_many(self, series: ArrayLike) -> None:
+        """Take raw samples in order, shape (N,)."""
         xs = numbers(series, "series")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one front end per channel.")
-        us = None if exog is None else np.asarray(exog, dtype=np.float64).reshape(xs.size, -1)
-        for i, x in enumerate(xs):
-            self.update(x, None if us is None else us[i])
+        for x in xs:
+            self.update(x)
 
     def flush(self) -> None:
         """Look at what is held now, and pass it on: for a record shorter than `learn`."""
-        first = np.array([x for x, _ in self._held])
+        first = np.array(self._held)
         self.resolution = find_resolution(first)
         if self.repeats == "auto":
             seen, expected = repeat_share(first, self.resolution)
@@ -419,10 +382,10 @@ class FrontEnd(Shown):
                 self._handling = "drop" if seen > 0.3 else "missing"
         self._learnt = True
         held, self._held = self._held, []
-        for x, exog in held:
-            self._pass_on(x, exog)
+        for x in held:
+            self._pass_on(x)
 
-    def _pass_on(self, x: float, exog: ArrayLike | None) -> None:
+    def _pass_on(self, x: float) -> None:
         if x == self._last and self._handling != "keep":
             self.dropped += 1
             if self._handling == "drop":
@@ -435,20 +398,7 @@ class FrontEnd(Shown):
         if self.season:
             x, oldest = x - self._season_lags[0], x
             self._season_lags = [*self._season_lags[1:], oldest]
-        if self._exog and isinstance(self.estimator, RecursiveArma):
-            self.estimator.update(x, exog)
-        else:
-            self.estimator.update(x)
-
-    @property
-    def quantisation_variance(self) -> float:
-        """Variance of the rounding error, ``resolution^2 / 12`` (Ah-Chong 2003, eq 2.36)."""
-        return self.resolution**2 / 12.0
-
-    @property
-    def is_quantised(self) -> bool:
-        """Whether the digits are coarser than the innovations: rounding is then not white noise, nor small."""
-        return self.resolution > self.estimator.model.sd
+        self.estimator.update(x)
 
     @property
     def model(self) -> ArmaModel:

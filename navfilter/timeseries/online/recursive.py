@@ -224,8 +224,6 @@ class RecursiveArma(Shown):
         Samples between two polishes, default a quarter of the window.
     mean : bool
         Carry a constant beside the coefficients (default), or take the series as having none.
-    exog : int
-        Number of external regressors (for example temperature) passed with every sample.
     method : {"rml", "els"}
         "els" is extended least squares (pseudo-linear regression, as in Ah-Chong 2003): no 1/C filter and no polish.
         It is there for comparison. It converges only if 1/C - 1/2 is strictly positive real, ``|C(e^jw) - 1| < 1`` at
@@ -262,12 +260,10 @@ class RecursiveArma(Shown):
         *,
         hop: int | None = None,
         mean: bool = True,
-        exog: int = 0,
         method: str = "rml",
         clip: float = 0.0,
     ) -> None:
         self.p, self.q = _order(p, "p"), _order(q, "q")
-        self.n_exog = _order(exog, "exog")
         least = max(30, 30 * (self.p + self.q))
         self.window = int(window)
         if self.window != window or self.window < least:
@@ -285,13 +281,11 @@ class RecursiveArma(Shown):
         self.method = method
         self.mean = bool(mean)
         self.clip = float(clip)
-        self._m = int(self.mean) + self.n_exog
+        self._m = int(self.mean)
         self._n = self.p + self.q + self._m
         self.window_fit = WindowFit(self.p, self.q, self._m, self.window, self.hop)
         self.share_memory(self.window_fit.state, self.window_fit.samples)
         self._white: bool | None = None
-        self._exog_origin = np.zeros(self.n_exog)
-        self._exog_set = False
         self._write_header()
 
     def share_memory(self, state: Array, samples: Array) -> None:
@@ -323,30 +317,25 @@ class RecursiveArma(Shown):
 
     # ------------------------------------------------------------------ samples in
 
-    def update(self, x: float, exog: ArrayLike | None = None) -> None:
-        """Take one sample (NaN if it is missing) and, if the estimator has any, its external regressors."""
-        if self.n_exog:
-            self._s[kernel.PHI, self.p + self.q + int(self.mean) : self._n] = self._check_exog(exog, 1)[0]
+    def update(self, x: float) -> None:
+        """Take one sample (NaN if it is missing)."""
         if kernel.rml_step(self._s, self._buf, float(x)):
             self.polish_window()
 
-    def update_many(self, series: ArrayLike, exog: ArrayLike | None = None) -> None:
+    def update_many(self, series: ArrayLike) -> None:
         """Take samples in order: the same arithmetic as `update` on each, to the last bit.
 
         Parameters
         ----------
         series : array_like, shape (N,)
             Samples, NaN where missing.
-        exog : array_like, shape (N, exog), optional
-            External regressors of each sample.
         """
         xs = np.array(numbers(series, "series"), order="C")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one estimator per channel.")
-        us = self._check_exog(exog, xs.size)
         done = 0
         while done < xs.size:
-            done = kernel.rml_run(self._s, self._buf, xs, us, done)
+            done = kernel.rml_run(self._s, self._buf, xs, done)
             if self._s[kernel.HEAD, kernel.POS] >= self._s[kernel.HEAD, kernel.DUE]:
                 self.polish_window()
 
@@ -354,21 +343,6 @@ class RecursiveArma(Shown):
         """At a hop: fit the window again, as far as is due."""
         self.window_fit.due(self.method == "els", self.clip, self.mean)
         self._white = None
-
-    def _check_exog(self, exog: ArrayLike | None, count: int) -> Array:
-        if self.n_exog == 0 and exog is None:
-            return np.empty((count, 0))
-        us = np.array(exog, dtype=np.float64, ndmin=1).reshape(count, -1) if exog is not None else np.empty((count, 0))
-        if us.shape[1] != self.n_exog or not np.all(np.isfinite(us)):
-            raise ValueError(
-                f"exog must be finite with {self.n_exog} value(s) per sample, found shape {us.shape}. "
-                "Fill gaps of the regressors before the estimator."
-            )
-        if count and not self._exog_set:
-            # Taken relative to the first values when a constant absorbs the difference: it keeps the two apart.
-            self._exog_origin = us[0].copy() if self.mean else np.zeros(self.n_exog)
-            self._exog_set = True
-        return np.ascontiguousarray(us - self._exog_origin)
 
     # ------------------------------------------------------------------ estimate out
 
@@ -421,17 +395,6 @@ class RecursiveArma(Shown):
         return float(head[kernel.ORIGIN] + constant / head[kernel.UNIT])
 
     @property
-    def exog_gain(self) -> Array:
-        """Coefficients of the external regressors in ``A y = C e + B u``, shape (exog,)."""
-        first = self.p + self.q + int(self.mean)
-        return self._s[kernel.THETA, first : self._n] / self._s[kernel.HEAD, kernel.UNIT]
-
-    @property
-    def effective_window(self) -> float:
-        """Number of residuals behind the last polish."""
-        return float(self.window_fit.used)
-
-    @property
     def is_stable(self) -> bool:
         """All poles and all zeros strictly inside the unit circle."""
         return is_stable(self.ar) and is_stable(self.ma)
@@ -466,56 +429,6 @@ class RecursiveArma(Shown):
             flags.add("gaps")
         spread = log_s0_sd(ar, ma, covariance, max(self.window_fit.used, 1))
         return ArmaModel(ar, ma, self.sd, covariance, spread, float(self.window_fit.used), frozenset(flags))
-
-    def spectrum(self, freq_hz: ArrayLike, rate_hz: float) -> Array:
-        """One-sided power spectral density of the model at `freq_hz` (unit^2/Hz), samples coming at `rate_hz`."""
-        return self.model.spectrum(freq_hz, rate_hz)
-
-    def predict(self, steps: int) -> Array:
-        """Expected next `steps` samples, shape (steps,), regressors held at their last values."""
-        if steps < 0:
-            raise ValueError(f"steps must not be negative, found {steps}.")
-        head, k = self._s[kernel.HEAD], self.p + self.q
-        theta = self._s[kernel.THETA]
-        lags_y, lags_e = -self._s[kernel.PHI, : self.p], self._s[kernel.PHI, self.p : k].copy()
-        constant = float(self._s[kernel.PHI, k : self._n] @ theta[k : self._n])
-        forecast = np.empty(steps)
-        for i in range(steps):
-            forecast[i] = constant - theta[: self.p] @ lags_y + theta[self.p : k] @ lags_e
-            lags_y = np.concatenate([forecast[i : i + 1], lags_y[:-1]]) if self.p else lags_y
-            lags_e = np.concatenate([[0.0], lags_e[:-1]]) if self.q else lags_e
-        return head[kernel.ORIGIN] + forecast / head[kernel.UNIT]
-
-    # ------------------------------------------------------------------ keep and bring back
-
-    def snapshot(self) -> dict[str, Array]:
-        """All that the estimator knows, as a plain dict of arrays (fit for ``numpy.savez``)."""
-        return {
-            "state": self._s.copy(),
-            "samples": self._buf.copy(),
-            "carry": self.window_fit.carry.copy(),
-            "residuals": self.window_fit.residuals.copy(),
-            "exog_origin": self._exog_origin.copy(),
-            "counters": np.array([self.window_fit.used, self.window_fit.doubtful, self._exog_set], dtype=np.float64),
-        }
-
-    def restore(self, snapshot: dict[str, Array]) -> None:
-        """Continue from a `snapshot` of an estimator built with the same arguments, to the last bit."""
-        for name, own in (("state", self._s), ("samples", self._buf), ("carry", self.window_fit.carry)):
-            given = snapshot.get(name, np.empty(0))
-            if given.shape != own.shape:
-                raise ValueError(
-                    f"snapshot does not fit: {name} has shape {given.shape}, expected {own.shape}. "
-                    "Build the estimator with the same orders, window, hop and regressors."
-                )
-        self._s[:] = snapshot["state"]
-        self._buf[:] = snapshot["samples"]
-        self.window_fit.carry[:] = snapshot["carry"]
-        self.window_fit.residuals = np.array(snapshot["residuals"], dtype=np.float64)
-        self._exog_origin = np.array(snapshot["exog_origin"], dtype=np.float64)
-        used, doubtful, exog_set = snapshot["counters"]
-        self.window_fit.used, self.window_fit.doubtful, self._exog_set = int(used), int(doubtful), bool(exog_set)
-        self._white = None
 
 
 def _order(value: int, name: str) -> int:
