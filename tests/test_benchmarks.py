@@ -28,6 +28,7 @@ SCRIPTS = {
     "dives": ("adaptive filters", ()),
     "faults": ("without a fault", ("missions", "outcomes", "fault_free", "service")),
     "faults_random": ("without the fault", ()),
+    "faults_sensitivity": ("no other software", ()),
     "fuzz": ("no other software", ()),
     "gaps": ("No other", ()),
     "gliders": ("plain dead reckoning", ()),
