@@ -120,6 +120,11 @@ def test_a_fix_that_is_refused_tells_the_size_of_the_fault_that_explains_it_and_
         multivariate_normal(np.zeros(a), S + off**2 * np.eye(a)).logpdf(G @ size) for off in (0.0, settings.JUMP_M)
     ]
     assert more[at[0]] == pytest.approx(likely[0] - likely[1] - rare)
+    # where innovations are as large as that anyway, it has not jumped, and no fault is likelier for it
+    heard[:, kernels.BEFORE :] = 1e3
+    before = more.copy()
+    fault_bank.note_jump(filter, gps, filter.memory.time_s)
+    assert (more == before).all()
 
 
 def test_a_compass_that_runs_away_is_told_from_the_gyros():

@@ -209,8 +209,9 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
     """Note that the position is set to a fix that was refused: faults that lead it so far away have become likelier,
     and their sizes are told by it.
 
-    Without a fault fixes or position have jumped since the last one that was used, which is as rare as a fault. To a
-    fault that does not explain the fix it says nothing: that may have jumped beside it.
+    Without a fault fixes or position have jumped since the last one that was used, which is as rare as a fault, if that
+    is likelier than that they have not. To a fault that does not explain the fix it says nothing: that may have jumped
+    beside it.
     """
     bank = filter.memory.monitor.bank
     if not bank.size or channel.sensor.observes is not Observable.FIX:
@@ -227,7 +228,7 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
         def likely(left: Array, spread: Array, S: Array = larger * S) -> float:
             return float(-0.5 * (left @ np.linalg.solve(S + spread, left) + np.linalg.slogdet(S + spread)[1]))
 
-        jumped = likely(y, settings.JUMP_M**2 * np.eye(len(y))) + rare
+        plain, jumped = likely(y, np.zeros_like(S)), likely(y, settings.JUMP_M**2 * np.eye(len(y))) + rare
         for k in np.flatnonzero(table[:, kernel.TOGETHER] > 0.0):
             of = np.arange(k, k + int(table[k, kernel.TOGETHER]))
             at = w * len(table) + of
@@ -236,7 +237,7 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
             if likely(y - by @ M @ s[at], by @ M @ by.T) > jumped:
                 told[:, at] = by / math.sqrt(larger)
                 s[at] += by.T @ np.linalg.solve(larger * S, y)
-                more[at[0]] += likely(y, np.zeros_like(S)) - jumped
+                more[at[0]] += min(plain - jumped, 0.0)
     J += told.T @ np.linalg.solve(S, told)
 
 
