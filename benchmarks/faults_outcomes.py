@@ -122,23 +122,17 @@ def turned(by_rad: float) -> Callable[..., Any]:
 
 
 def flowing(role: str, flows: Callable[[float], float]) -> Case:
-    """What a velocity is read against begins to move north, at a speed by its age [m/s], by the headings that are read
-    meanwhile: the water, or the bottom.
-    """
+    """What a velocity is read against begins to move north, at a speed by its age [m/s]: the water, or the bottom."""
 
     def altered(events: Events, scene: library.Scene) -> Events:
-        if not {role, "heading"} <= scene.targets.keys():
+        if role not in scene.targets or scene.truth is None:
             return events
-        one, compass = scene.targets[role], scene.targets["heading"]
-        along = scene.along if role == "velocity" else np.eye(3)
-        heading, result = 0.0, []
+        one, along = scene.targets[role], scene.along if role == "velocity" else np.eye(3)
+        result = []
         for e in events:
-            if e.sensor == compass.sensor:
-                heading = e.value[compass.columns[0]]
             if e.sensor == one.sensor and e.true_s >= FAULT_S:
-                value = np.array(e.value)
-                off = flows(e.true_s - FAULT_S) * np.array([math.cos(heading), -math.sin(heading), 0.0])
-                value[list(one.columns)] -= along @ off
+                value, north_b = np.array(e.value), watched.truth_at(scene.truth, e.true_s).C_nb[0]
+                value[list(one.columns)] -= along @ (flows(e.true_s - FAULT_S) * north_b)
                 e = e._replace(value=tuple(value.tolist()))
             result.append(e)
         return result
@@ -369,12 +363,17 @@ def cases(vehicle: nf.Vehicle) -> dict[str, Case]:
     return SITUATIONS | FIELD | OTHERS | {name: kind(name) for name in library.KINDS}
 
 
+def scene_of(vehicle: nf.Vehicle, mission: nf.Mission) -> library.Scene:
+    """What the faults need to know of a mission; those of the library have their own windows."""
+    return dataclasses.replace(library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0)), truth=mission.truth)
+
+
 def befalls(name: str, case: Case, which: str) -> bool:
     """Whether a fault changes anything for a vehicle: one without an inertial unit has no gyro that fails."""
     vehicle, mission = mission_of(1, which)
     assert mission.start is not None
     events = arriving(vehicle, mission)
-    changed = case.events(events, library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0)))
+    changed = case.events(events, scene_of(vehicle, mission))
     return name == "no fault" or changed != events or case.start(mission.start) != mission.start
 
 
@@ -465,7 +464,7 @@ def fly(case: Case, seed: int, which: str) -> tuple[watched.Outcome, np.ndarray]
     vehicle, mission = mission_of(seed, which)
     assert mission.start is not None and mission.truth is not None
     start = case.start(mission.start)
-    scene = library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0))
+    scene = scene_of(vehicle, mission)
     events = case.events([e for e in arriving(vehicle, mission) if e.true_s >= start.time_s - 1e-9], scene)
     nav = Lanes(vehicle, start) if vehicle.lanes() else nf.Navigator(vehicle, start)
     outcome = watched.watch(nav, events, scene, longest_cpu_s=120.0)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from feeding import DRIVE, Event, Events
 
+from navfilter.models.mission import Stream
 from navfilter.models.sensors import (
     Attitude,
     BodyVelocity,
@@ -57,6 +58,8 @@ class Scene:
         Of the drive.
     along : ndarray, shape (n, 3)
         Directions of the components of the velocity in its instrument's axes: those, its beams, or forward.
+    truth : Stream or None
+        Where it is known: attitudes by which what happens in n is read in b.
     """
 
     targets: dict[str, Target]
@@ -64,6 +67,7 @@ class Scene:
     fixes: tuple[float, float]
     period_s: float
     along: np.ndarray = field(default_factory=lambda: np.eye(3))
+    truth: Stream | None = None
 
     def when(self, role: str) -> tuple[float, float]:
         """The window in which faults of a role act."""
