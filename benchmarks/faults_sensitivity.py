@@ -80,14 +80,14 @@ def chosen(vehicles: list[str], every: int) -> Iterator[Tried]:
 
 
 def outcome(tried: Tried) -> dict[str, Any]:
-    """What becomes of a case as the constants stand; the run without the fault is made anew."""
-    faults_outcomes.clean.cache_clear()
+    """What becomes of a case as the constants stand."""
     return faults_outcomes.row_of(tried.name, all_cases(tried.vehicle)[tried.name], [1], tried.vehicle)
 
 
 @functools.cache
 def as_it_is(tried: Tried) -> tuple[dict[str, Any], frozenset[str]]:
-    """What becomes of a case, and the constants that were read."""
+    """What becomes of a case, and the constants that were read, for the run without the fault as well."""
+    faults_outcomes.clean.cache_clear()
     settings.__class__ = Recording
     Recording.read.clear()
     try:
@@ -97,26 +97,26 @@ def as_it_is(tried: Tried) -> tuple[dict[str, Any], frozenset[str]]:
     return row, frozenset(Recording.read)
 
 
-def with_constant(name: str, factor: float, tried: Tried) -> dict[str, Any]:
-    """What becomes of a case with a constant changed."""
+def with_constant(name: str, factor: float, cases: list[Tried]) -> list[dict[str, Any]]:
+    """What becomes of cases with a constant changed."""
     value = getattr(settings, name)
+    faults_outcomes.clean.cache_clear()
     setattr(settings, name, scaled(value, factor))
     try:
-        return outcome(tried)
+        return [outcome(tried) for tried in cases]
     finally:
         setattr(settings, name, value)
 
 
 def rows_of(name: str, cases: list[Tried]) -> list[dict[str, Any]]:
     """The rows of one constant."""
+    known = [(tried, *as_it_is(tried)) for tried in cases]
+    read = [(tried, before) for tried, before, constants in known if name in constants]
     rows = []
     for factor in FACTORS:
         ratios, counts, which = [], {"changed": 0, "worse": 0, "better": 0}, ""
-        for tried in cases:
-            before, read = as_it_is(tried)
-            if name not in read:
-                continue
-            after = with_constant(name, factor, tried)
+        results = with_constant(name, factor, [tried for tried, _ in read])
+        for (tried, before), after in zip(read, results, strict=True):
             ratio = max(after["worst_m"], LEAST_M) / max(before["worst_m"], LEAST_M)
             counts["changed"] += after != before
             counts["worse"] += before["verdict"] == "ok" != after["verdict"]
