@@ -343,7 +343,7 @@ def drop_contradicted_offset(filter: FilterState, channel: Channel, time_s: floa
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
         # what it has read since it jumped was no heading; of one that went off slowly nobody knows when that was
         kept.rejected_since_s = kept.jumped_s if math.isfinite(kept.jumped_s) else time_s
-        kept.refused, kept.disputed_s = None, time_s
+        kept.refused, kept.disputed_s, kept.odds = None, time_s, 0.0
 
 
 def _slope(filter: FilterState, compass: Channel) -> tuple[float, float]:

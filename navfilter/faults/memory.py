@@ -68,8 +68,8 @@ class SensorFaults:
     either : bool
         Of a depth gauge with a constant: that may as well be the state's (`heights`).
     odds : float
-        Of one to which the bank has given constants: how much likelier than not these have to become before they are
-        taken away, by how much likelier they were than any other explanation [nat].
+        Of one to which the bank has given constants: by how much more than usual readings have to speak against these
+        before they are taken away; by so much they were likelier than any other explanation, and a little more [nat].
     """
 
     rejected_since_s: float = math.nan

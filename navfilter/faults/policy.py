@@ -138,7 +138,7 @@ def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> A
     if force is None:
         return None
     if channel.offset:
-        channel.faults.aside = None
+        channel.faults.aside, channel.faults.odds = None, 0.0
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
     yield Inflate(range(6, 8), range(6, 8), (force / STANDARD_GRAVITY) ** 2)
     filter.monitor.is_tilted = True
@@ -443,7 +443,7 @@ def used(filter: FilterState, channel: Channel, time_s: float) -> None:
         and channel.name not in _waiting(filter)
     )
     if settled and sensor_bias.is_none(channel, memory.x, memory.P):
-        kept.either = False
+        kept.either, kept.odds = False, 0.0
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
 
 
