@@ -8,15 +8,11 @@ import lzma
 import os
 import shlex
 import shutil
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 from fuzz_targets import Target, demand, refusing, sound
 
 from navfilter.commands.cli import main
-from navfilter.evaluation.montecarlo import workers
 from navfilter.io import VehicleError, write_vehicle
 from navfilter.io.logs.draft import draft
 from navfilter.io.logs.survey import survey, survey_text
@@ -76,28 +72,13 @@ def foreign_log_target(folder: Path) -> Target:
     return Target("logs", examples, run, 0.003, text=False)
 
 
-class _Here:
-    """In place of worker processes: what is submitted is done at once, in this one."""
-
-    def submit(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(work(*arguments))
-        return future
-
-
-@contextlib.contextmanager
-def _here(count: int | None = None) -> Iterator[_Here]:
-    yield _Here()
-
-
-#: Command lines; A holds the mission.toml that follows, B and C are whole.
+#: Command lines; A holds the mission.toml that follows, B is whole.
 LINES = (
     "check A --vehicle vehicle.toml",
     "vehicle --check vehicle.toml",
     "replay A --vehicle vehicle.toml --out out --force",
     "replay A --vehicle vehicle.toml --smooth --from 2 --to 8 --out out --force",
-    "replay A B.npz C.npz --vehicle vehicle.toml --workers 2 --out out --force",
-    "replay B.npz C.npz --vehicle vehicle.toml --without depth --withhold gps:3-6 --out out --force",
+    "replay B.npz --vehicle vehicle.toml --without depth --withhold gps:3-6 --out out --force",
     "calibrate A B.npz --vehicle vehicle.toml --out calibrated.toml --force",
     "calibrate B.npz --vehicle vehicle.toml --open clock,scale --each gps --json c.json --out calibrated.toml --force",
     "calibrate B.npz --vehicle vehicle.toml --truth 0.05 --open all --out calibrated.toml --force",
@@ -110,8 +91,7 @@ def command_target(folder: Path) -> Target:
     vehicle, mission = simulate_scenario("reckoning", 1, 20.0)
     write_vehicle(vehicle, folder / "vehicle.toml")
     (folder / "A").mkdir()
-    for name in "BC":
-        mission.save(folder / f"{name}.npz")
+    mission.save(folder / "B.npz")
     whole = b'name = "A"\n'
     for name, stream in mission.streams.items():
         table = folder / "A" / f"{name}.csv"
@@ -127,7 +107,6 @@ def command_target(folder: Path) -> Target:
     whole += (
         f"[start]\ntime_s = 0.0\nlatitude_deg = {start.latitude_deg}\nlongitude_deg = {start.longitude_deg}\n".encode()
     )
-    workers.process_pool = _here
     report.render_report = lambda *given, **more: ""  # figures read nothing, and take seconds
 
     def run(data: bytes) -> None:

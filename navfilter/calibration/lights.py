@@ -1,15 +1,12 @@
-"""How far a run has told each constant, as a light: green, orange or red; and whether several missions agree.
+"""How far a run has told each constant, as a light: green, orange or red.
 
 A constant is told where little of the doubt that vehicle.toml describes is left: green up to a limit, orange up to
 twice that, red beyond. The limit is stated (`--limit`), or `LEFT` of the sd that is described.
 """
 
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
-
-from scipy.special import chdtrc
 
 from navfilter.calibration.parts import Constant, kind_of
 from navfilter.io.units import UNITS
@@ -18,8 +15,6 @@ from navfilter.io.units import UNITS
 #: what `navfilter calibrate` calls not told.
 LEFT = 0.4
 LIGHTS = ("green", "orange", "red")
-#: Missions that agree scatter as much, or more, in one of so many cases: green, orange.
-AGREE, DOUBTFUL = 0.05, 0.001
 #: SI units of constants -> the dimension of a unit that a limit may have.
 _DIMENSIONS = {"rad": "angle", "s": "time", "m": "length", "1": "number", "T": "magnetic field"}
 _DIMENSIONS |= {"m_s": "speed", "rad_s": "angular rate", "m_s2": "acceleration"}
@@ -121,62 +116,3 @@ def check_limits(limits: Sequence[tuple[str, float, str]], there: Sequence[Const
         if not fitting:
             names = ", ".join(one.name for one in there) or "none: give one an sd in vehicle.toml"
             raise ValueError(f"--limit {name}: no constant is called so (constants: {names}).")
-
-
-class Agreement(NamedTuple):
-    """What several missions together say of a constant.
-
-    Attributes
-    ----------
-    value, sd : float
-        Of all of them and the description.
-    chance : float
-        With which missions of the same constant scatter so much, or more; NaN where fewer than two tell it.
-    """
-
-    value: float
-    sd: float
-    chance: float
-
-    @property
-    def colour(self) -> str:
-        """One of `LIGHTS`; empty where nothing can be compared."""
-        if math.isnan(self.chance):
-            return ""
-        return LIGHTS[(self.chance < AGREE) + (self.chance < DOUBTFUL)]
-
-
-def agreement(found: Sequence[Mapping[str, Any]]) -> Agreement:
-    """Put together what missions found of one constant; what they have in common, the description, counts once.
-
-    Parameters
-    ----------
-    found : sequence of mapping
-        "given", "given_sd", "value" and "sd" of each mission, as `Light.to_dict`.
-
-    Notes
-    -----
-    A mission says beyond its prior ``1 / sd^2 - 1 / given_sd^2`` of information. By that the missions are weighted, and
-    their scatter is a chi-square of one degree of freedom less than there are missions that say anything.
-
-    Examples
-    --------
-    >>> one = {"given": 0.0, "given_sd": 1.0, "value": 0.5, "sd": 0.1}
-    >>> both = agreement([one, one | {"value": 0.52}])
-    >>> f"{both.value:.3f} +- {both.sd:.3f}, {both.colour}"
-    '0.513 +- 0.071, green'
-    """
-    told = [one for one in found if one["sd"] < 0.999 * one["given_sd"]]
-    weights = [one["sd"] ** -2 - one["given_sd"] ** -2 for one in told]
-    values = [
-        (one["value"] * one["sd"] ** -2 - one["given"] * one["given_sd"] ** -2) / weight
-        for one, weight in zip(told, weights, strict=True)
-    ]
-    prior, whole = found[0]["given_sd"] ** -2, sum(weights)
-    mean = sum(w * v for w, v in zip(weights, values, strict=True)) / whole if whole else math.nan
-    chance = math.nan
-    if len(told) > 1:
-        scatter = sum(w * (v - mean) ** 2 for w, v in zip(weights, values, strict=True))
-        chance = float(chdtrc(len(told) - 1, scatter))
-    together = (whole * mean if whole else 0.0) + prior * found[0]["given"]
-    return Agreement(together / (whole + prior), (whole + prior) ** -0.5, chance)

@@ -90,8 +90,7 @@ def replay(options: argparse.Namespace) -> int:
     """Run a recorded mission through the filter (and the smoother).
 
     MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is
-    on board. Several MISSIONs are replayed side by side, each into a folder of its own below --out; recordings.csv and
-    recordings.json there hold a line for each. One that cannot be read stops none of the others.
+    on board.
 
     times are those of the mission clock, as in report.html and track.csv; with a plus they count from the recording's
     first reading (+300).
@@ -124,12 +123,11 @@ def replay(options: argparse.Namespace) -> int:
     exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files
     are written all the same); 2 wrong usage or input; 3 the track is not judged: what drives was not measured, or
     nothing on board corrects it; 130 interrupted. The verdict stands at the end of the output, in summary.json and on
-    top of the report. Of several MISSIONs: the worst of their codes.
+    top of the report.
 
     examples:
       navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
       navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
-      navfilter replay dives/* --vehicle vehicle.toml --smooth --out season --workers 4     each to a folder of its own
       navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift  how far it drifts
       navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --limit mounting=0.1deg --limit scale=0.1%
       navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --control gates.csv  at surveyed places
@@ -137,27 +135,14 @@ def replay(options: argparse.Namespace) -> int:
       navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
       navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap  for Google Earth and Foxglove
     """
-    from navfilter.io import read_vehicle
-
-    if options.passes != 1 and not options.smooth:
-        raise ValueError("--passes is of the smoother: give --smooth too.")
-    if len(options.mission) == 1:
-        options.mission = options.mission[0]
-        return replay_one(options)
-    from navfilter.commands.recordings import replay_all
-
-    vehicle = read_vehicle(options.vehicle).without(*options.without)
-    return replay_all(options, replay_one, lambda: console.compile_first(options.quiet, vehicle))
-
-
-def replay_one(options: argparse.Namespace) -> int:
-    """Replay the one mission of the options, and write what came of it; the exit code."""
     from navfilter.calibration.lights import check_limits
     from navfilter.calibration.parts import constants_of
     from navfilter.evaluation.assessment import read_control_points
     from navfilter.io import read_vehicle
     from navfilter.playback.instructions import instructed
 
+    if options.passes != 1 and not options.smooth:
+        raise ValueError("--passes is of the smoother: give --smooth too.")
     mission = mission_part.with_instructions(options, console.read(options))
     vehicle, mission = instructed(read_vehicle(options.vehicle).without(*options.without), mission)
     mission, withheld = mission_part.select(options, mission, vehicle)

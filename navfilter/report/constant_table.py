@@ -1,21 +1,16 @@
 """The constants of a run as a table with lights: by colour, by shape and in words, so that it reads in grey, too."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
-from navfilter.calibration.lights import LEFT, Agreement, Light
+from navfilter.calibration.lights import LEFT, Light
 from navfilter.check.units_text import amount, with_sd
 from navfilter.rendering.page import escape
 
 #: A light as a sign and in words.
 _SIGNS = {"green": ("&#9679;", "told"), "orange": ("&#9650;", "half told"), "red": ("&#9632;", "hardly told")}
-_AGREE = {"green": "agree", "orange": "doubtful", "red": "differ", "": "-"}
 ABOUT = (
     f"Green: what is left of the doubt is no more than the limit (stated by --limit, else {LEFT:.0%} of the sd that "
     "vehicle.toml describes); orange: up to twice that; red: beyond. Grey bar: described, with 1 sd; black: found."
-)
-AGREEMENT = (
-    "Together: of all recordings and the description, which counts once. They agree where missions of one constant "
-    "scatter as much, or more, in one case of twenty; doubtful: of a thousand; differ: seldomer."
 )
 #: The little figure: half its width [px], and how many described sds that is.
 _HALF, _REACH = 50.0, 2.5
@@ -38,23 +33,6 @@ def lights_html(lights: Sequence[Light]) -> str:
     return _table(head, rows)
 
 
-def agreement_html(missions: Sequence[str], found: Mapping[str, tuple[Agreement, str, Sequence[Light | None]]]) -> str:
-    """The table of several missions: what each says of every constant, and all together.
-
-    Parameters
-    ----------
-    missions : sequence of str
-    found : dict of str to (Agreement, str, sequence of Light or None)
-        By the constant's name: together, its unit, and of each mission.
-    """
-    rows = []
-    for name, (both, unit, each) in found.items():
-        cells = ["-" if one is None else _light(one.colour, with_sd(one.value, one.sd, unit)) for one in each]
-        together = with_sd(both.value, both.sd, unit)
-        rows.append((escape(name), *cells, together, _light(both.colour, _AGREE[both.colour])))
-    return _table(("constant", *map(escape, missions), "together", ""), rows)
-
-
 def lights_text(lights: Sequence[Light]) -> str:
     """How many constants are told, and which are not, in one line; empty where there are none."""
     counts = [f"{sum(one.colour == colour for one in lights)} {_SIGNS[colour][1]}" for colour in _SIGNS]
@@ -63,8 +41,6 @@ def lights_text(lights: Sequence[Light]) -> str:
 
 
 def _light(colour: str, text: str) -> str:
-    if not colour:
-        return text
     return f'<span class="light {colour}">{_SIGNS[colour][0]}</span> {text}'
 
 
