@@ -1,5 +1,4 @@
-"""A campaign: seeds -> missions -> one run per model -> results, on all cores or on a cluster, continued where it was
-stopped.
+"""A campaign: seeds -> missions -> one run per model -> results, on all cores, continued where it was stopped.
 
 A job is one seed: its mission is simulated once and replayed with every model, so that models are compared on the same
 missions. What a job returns depends on nothing but the settings, the seed and the model; which process does it does not
@@ -17,7 +16,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, as_completed
@@ -36,6 +34,7 @@ from navfilter.evaluation.baselines import fitted_kinds, replay_rival, rivals
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES, TRACKS, curve_times, run_record
 from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots, slots
 from navfilter.foundation.arrays import AnyArray, Array, ArrayLike, Ints
+from navfilter.foundation.atomic_files import replacing_binary
 from navfilter.foundation.quoting import json_value
 from navfilter.models.mission import Mission
 from navfilter.playback.replay import replay, replay_heard
@@ -53,15 +52,8 @@ def fingerprint(settings: Mapping[str, Any]) -> str:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file that is there whole or not at all, whatever kills the program."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(part, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing_binary(path, synced=True) as file:
+        file.write(content)
 
 
 class Store:
