@@ -132,6 +132,8 @@ def open_both(filter: FilterState, channel: Channel, time_s: float) -> Iterator[
     yield Inflate(DOWN, DOWN, max(new**2, whole**2 - P[DOWN, DOWN]))
     if len(places):
         yield Inflate(places, places, np.maximum(new**2, whole**2 - P[places, places]))
+        # what innovations seem to tell of other faults, this may have done
+        filter.monitor.begin_again(filter, memory.monitor)
     else:
         models = with_offsets(channel.sensor.models, abs(new), only=channel.sensor.jumps)
         filter.monitor.changes.append(Change(channel.name, models, offsets=True))

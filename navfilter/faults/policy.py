@@ -420,6 +420,7 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
     else:
         yield Inflate(places, places, size**2)
+        filter.monitor.begin_again(filter, memory.monitor)
         kept.refused = None
     kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
     kept.course = kept.course if refused.back < settings.RUN_LEAST else ()
