@@ -39,7 +39,7 @@ def are_told(filter: FilterState, gauge: Channel, time_s: float) -> bool:
     gauge that go on to be used.
     """
     used = (c.memory.used_s for c in filter.channels.values() if c.ground and c.faults.aside is None)
-    carried = not filter.inertial or time_s - max(used, default=-np.inf) < settings.CARRIED_S
+    carried = not filter.inertial or time_s - max(used, default=-np.inf) < settings.RECENT_S
     return carried or bool(_others(filter, gauge, time_s))
 
 
@@ -89,7 +89,7 @@ def undecided(filter: FilterState, channel: Channel, time_s: float) -> bool:
     states = offset_states(channel.sensor.models, channel.period_s)
     if len(states):
         whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
-        if not whole**2 > settings.DEPTH_GROWN**2 * float(channel.group.P0[states, states].max()):
+        if not whole**2 > settings.GROWN**2 * float(channel.group.P0[states, states].max()):
             return False
     return channel.faults.confirmed(channel.memory.used_s) and are_told(filter, channel, time_s)
 

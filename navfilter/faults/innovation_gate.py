@@ -45,7 +45,7 @@ def state_contradicted(channels: Collection[Channel], time_s: float, inertial: b
     alone = False
     for other in channels:
         memory, sensor = other.faults, other.sensor
-        heard = time_s - other.memory.last_s < max(settings.GATE_HEARD_S, settings.HEARD_PERIODS * other.period_s)
+        heard = time_s - other.memory.last_s < max(settings.RECENT_S, settings.HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
         if heard and refused_s > min(settings.MOTION_S, 0.5 * sensor.gate_timeout_s):
             motion |= (
@@ -71,7 +71,7 @@ def _place_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     refused = []
     for channel in channels:
         memory, sensor = channel.faults, channel.sensor
-        heard = time_s - channel.memory.last_s < max(settings.GATE_HEARD_S, settings.HEARD_PERIODS * channel.period_s)
+        heard = time_s - channel.memory.last_s < max(settings.RECENT_S, settings.HEARD_PERIODS * channel.period_s)
         if heard and sensor.observes.corrects in PLACE:
             refused.append(time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s and _off(channel) > 0.0)
     return len(refused) > 1 and all(refused)
@@ -117,7 +117,7 @@ def _goes_away(channel: Channel) -> bool:
     refused = channel.faults.refused
     if channel.dive_s == math.inf or refused is None:
         return False
-    return _off(channel) > settings.GATE_GROWN * float(np.nanmax(np.abs(refused.first), initial=0.0))
+    return _off(channel) > settings.GROWN * float(np.nanmax(np.abs(refused.first), initial=0.0))
 
 
 def _off(channel: Channel) -> float:

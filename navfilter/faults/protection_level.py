@@ -78,7 +78,7 @@ def bounds(
     >>> round(float(radius_m), 1)
     37.4
     """
-    away = np.asarray(age_s) > settings.PRESENT_S
+    away = np.asarray(age_s) > settings.RECENT_S
     heading = off.get("heading", 0.0)
     by_heading = 2.0 * np.sin(0.5 * np.minimum(heading, math.pi)) * moved_m
     by_velocity = np.maximum(np.multiply(age_s, off.get("velocity", 0.0)), beside_m)

@@ -267,7 +267,7 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
         and refused.last_s - memory.rejected_since_s >= settings.SPAN_S
     ):
         off = float(np.abs(channel.res[0]))
-        if off > settings.OFFSET_GROWN * abs(refused.first[0]) and off < settings.REACH_M:
+        if off > settings.GROWN * abs(refused.first[0]) and off < settings.REACH_M:
             return "state"
     if refused is None or not refused.agree(
         settings.VELOCITY_SPAN_S if kind is Observable.VELOCITY_BODY else settings.SPAN_S

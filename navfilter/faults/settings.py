@@ -19,17 +19,16 @@ UNDISPUTED_S = 600.0
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
 #: One that has been refused for so long contradicts the state, or is disputed [s]. (chosen)
 REFUSED_S = 1.0
-#: A sensor has been used so lately at most, if it is to speak for the state [s]. (chosen)
+#: A sensor has been used so lately at most, if it is to speak for the state, and heard, if it is there [s]. What only
+#: accelerometers carry for so long errs by more than its gauge, as the square of the time. (chosen)
 RECENT_S = 5.0
 #: A sensor that others are judged by has been used for so long [s]. (chosen)
 USED_S = 60.0
+#: A difference has grown once it is so many times what it was at first [1]: what is refused has not jumped then, the
+#: state goes away from it. (chosen)
+GROWN = 3.0
 #: A speed below this tells nothing of what goes with it [m/s]. (chosen)
 SLOW = 0.1
-
-# -------------------- allowed change
-#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
-#: as the square of the time, and the gauge is right. (chosen)
-CARRIED_S = 5.0
 
 # -------------------- alternative path
 #: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
@@ -67,9 +66,6 @@ APART_S = 60.0
 # -------------------- depth fault
 #: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives. (chosen)
 CARRIED_M_S = 0.1
-#: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
-#: readings happened to look alike. (chosen)
-DEPTH_GROWN = 2.0
 
 # -------------------- fault bank
 #: Each fault happens so often [1/s]: once in twenty hours. (chosen)
@@ -119,8 +115,8 @@ TILT_LIMIT = 30.0
 #: A force that differs from gravity by more is no level [m/s^2]: `navfilter.models.alignment` refuses it, too.
 #: (chosen)
 EXCESS = 1.5
-#: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s]. (chosen)
-TILT_HEARD_S, VELOCITY_SD = 1.0, 0.1
+#: A refused reading says what the velocity is to so much [m/s]. (chosen)
+VELOCITY_SD = 0.1
 
 # -------------------- innovation gate
 #: What may be wrong with a state that all sensors contradict: roll, pitch and heading [rad]; and beside the largest
@@ -135,12 +131,8 @@ MOTION = {"position": 0.0, "velocity": 2.0}
 #: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
 #: (chosen)
 MOTION_S = 10.0
-#: Where nothing else tells how the vehicle moves, fixes that are refused contradict the state in the same time, once
-#: they are off by so many times what the first of them was [1]: they have not jumped, it has gone away from them.
-#: (chosen)
-GATE_GROWN = 3.0
-#: A sensor counts as heard for so long after its last reading [s], and for so many of its periods. (chosen)
-GATE_HEARD_S, HEARD_PERIODS = 5.0, 3.0
+#: A sensor counts as heard for so many of its periods, too [1]. (chosen)
+HEARD_PERIODS = 3.0
 #: The gate of a sensor that is astray widens so many times later [1]: it was believed until it was beyond belief.
 #: (chosen)
 PATIENT = 5.0
@@ -160,8 +152,8 @@ SETTLES_S, LONGER = 15.0, 2.0
 #: minute, a frozen one loses 100 in a second. (chosen)
 LANE_MARGIN = 50.0
 #: The lane without an inertial unit follows whatever sensor errs, while units contradict it. So two sensors must speak
-#: for it, each by so much [nat]: odds of 20,000. (chosen)
-SECOND = 10.0
+#: for it, each by what makes a fault believed [nat]. (derived)
+SECOND = fault_bank.BELIEVED
 #: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
 #: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again. The
 #: other lane has to follow it: of what contradicts the unit, this share may contradict that lane too [1]. Readings in
@@ -194,8 +186,6 @@ CONFIRMED_S = 30.0
 #: Fixes to which a state was set against what was believed are right once that is so long ago [s]: a receiver that has
 #: come up with a wrong place finds the right one sooner. (chosen)
 FOLLOWED_S = 120.0
-#: Fixes are there while the last one is so old at most [s]. (chosen)
-PRESENT_S = 5.0
 
 # -------------------- refusals
 #: So many readings that agree are believed together at the earliest. [1] (chosen)
@@ -213,8 +203,6 @@ AT_ONCE = 1.5
 #: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity tells what the covariance of
 #: a position may gather meanwhile. (chosen)
 HELD = 0.25
-#: A height that is off from its gauge by so many times as much as at first has gone away from it [1]. (chosen)
-OFFSET_GROWN = 3.0
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1]. (chosen)
 AGAIN = 0.02
 

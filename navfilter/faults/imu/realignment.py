@@ -171,9 +171,7 @@ def _tells_tilt(channel: Channel, now_s: float) -> bool:
     """Whether a sensor that reads roll and pitch agrees with the state, and has been used lately."""
     memory, instrument = channel.faults, channel.sensor.observes.north is not None and channel.axes > 1
     return (
-        instrument
-        and memory.agrees
-        and now_s - channel.memory.used_s < max(settings.TILT_HEARD_S, 2.0 * channel.period_s)
+        instrument and memory.agrees and now_s - channel.memory.used_s < max(settings.SPEAKS_S, 2.0 * channel.period_s)
     )
 
 
@@ -213,7 +211,7 @@ def _refused_velocity(filter: FilterState) -> tuple[Array, Channel] | None:
     for channel in filter.channels.values():
         memory, now_s = channel.faults, filter.memory.time_s
         refused = channel.moves and channel.faults.aside is None and not math.isnan(memory.rejected_since_s)
-        if refused and now_s - channel.memory.last_s < settings.TILT_HEARD_S:
+        if refused and now_s - channel.memory.last_s < settings.SPEAKS_S:
             residual = ground_velocity.components(channel, full_residual(filter, channel))
             seen = np.isfinite(residual)
             N = ground_velocity.components(channel, channel.near)[seen, 3:6]
