@@ -109,6 +109,8 @@ def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turn
     states = 9 + len(nf.Navigator(vehicle, mission.start).errors)
     steps, memory = samples.copy(), vehicle.drive.memory(0)
     steps[:, 0] = np.diff(samples[:, 0], prepend=samples[0, 0])
+    # the transition of nine states comes with the steps of the state: no bias, no noise
+    none, no_errors = np.zeros(0), (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((6, 1)), np.eye(36, 9))
     part = 500 if turns == 1 else 2000
     scaled: dict[str, list[float]] = {name: [] for pair in WORK.values() for name in pair if name}
 
@@ -125,7 +127,7 @@ def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turn
         "learning": lambda: nf.replay(learning, mission),
         "40 states": lambda: nf.replay(larger(vehicle), mission),
         "forward + smoother": lambda: nf.replay(vehicle, mission, smooth=True),
-        "strapdown alone": lambda: strapdown.integrate(mission.start.state.pack(), memory, steps, np.empty((0, 17))),
+        "strapdown alone": lambda: strapdown.imu_steps(mission.start.state.pack(), none, memory, steps, *no_errors),
         "competitors": competitors,
     }
     calls["strapdown alone"]()  # compiles, or loads what was compiled
