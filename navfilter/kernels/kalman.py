@@ -10,8 +10,43 @@ import numpy as np
 
 from navfilter.kernels import consistency, symmetric
 from navfilter.kernels.compiling.decorators import COUNTED, UNCOUNTED, flat, njit, shaped
-from navfilter.kernels.compiling.registers import eight, not_zero
-from navfilter.kernels.compiling.vectors import WIDE, less_half, product, rank2_update, weighted
+from navfilter.kernels.compiling.registers import all_of, eight, not_zero, put
+from navfilter.kernels.compiling.vectors import WIDE, less_half, rank2_update, weighted
+
+
+@njit(apart=True, cache=True, **UNCOUNTED)
+def product(A, B, out):
+    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least.
+
+    Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
+    than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
+    processor can.
+    """
+    for i in range(0, out.shape[0], 9):
+        r = min(i, out.shape[0] - 9)
+        for j in range(0, out.shape[1], WIDE):
+            c = min(j, out.shape[1] - WIDE)
+            s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = all_of(0.0)
+            for k in range(A.shape[1]):
+                b = eight(B[k], c)
+                s0 = s0 + all_of(A[r, k]) * b
+                s1 = s1 + all_of(A[r + 1, k]) * b
+                s2 = s2 + all_of(A[r + 2, k]) * b
+                s3 = s3 + all_of(A[r + 3, k]) * b
+                s4 = s4 + all_of(A[r + 4, k]) * b
+                s5 = s5 + all_of(A[r + 5, k]) * b
+                s6 = s6 + all_of(A[r + 6, k]) * b
+                s7 = s7 + all_of(A[r + 7, k]) * b
+                s8 = s8 + all_of(A[r + 8, k]) * b
+            put(out[r], c, s0)
+            put(out[r + 1], c, s1)
+            put(out[r + 2], c, s2)
+            put(out[r + 3], c, s3)
+            put(out[r + 4], c, s4)
+            put(out[r + 5], c, s5)
+            put(out[r + 6], c, s6)
+            put(out[r + 7], c, s7)
+            put(out[r + 8], c, s8)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
