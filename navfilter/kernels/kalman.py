@@ -15,7 +15,7 @@ from navfilter.kernels.compiling.vectors import WIDE, less_half, rank2_update, w
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def product(A, B, out):
+def _product(A, B, out):
     """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least.
 
     Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
@@ -55,11 +55,11 @@ def _navigation(P, acc, T, A, head):
     columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
-    product(acc[:9], P[:m], T)
+    _product(acc[:9], P[:m], T)
     for i in range(9):
         for j in range(m):
             A[j, i] = T[i, j]
-    product(acc[:9], A, head)
+    _product(acc[:9], A, head)
     consistency.arc_term(P, head)
 
 
@@ -722,7 +722,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = Phi[j, i]
-    product(C, L[:9], T)
+    _product(C, L[:9], T)
     for r in range(9, m):
         for i in range(m):
             f = Phi[r, i]
@@ -732,7 +732,7 @@ def _head_transposed(L, lam, Phi, work):
     for i in range(m):
         for j in range(9):
             C[i, j] = T[i, j]
-    product(C, Phi[:9], A)
+    _product(C, Phi[:9], A)
     for r in range(9, m):
         for j in range(m):
             f = Phi[r, j]
@@ -759,8 +759,8 @@ def _head_transposed(L, lam, Phi, work):
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
-    product(P, L, T)
-    product(T, P, cov)
+    _product(P, L, T)
+    _product(T, P, cov)
     for i in range(n):
         s = 0.0
         for j in range(n):
