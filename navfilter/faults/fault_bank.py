@@ -33,17 +33,15 @@ from navfilter.models.learned_arma import UNLEARNT, changed, is_learnt, learning
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
-#: The log of how often in a second what does not happen happens.
-NEVER = -1e3
 
 
 def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
     """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them; shape (c, TABLE)."""
     rows: list[tuple[float, ...]] = []
 
-    def add(channel: int, sd: float, *kinds: tuple[int, int], read: int = 0, happens: bool = True) -> None:
+    def add(channel: int, sd: float, *kinds: tuple[int, int], read: int = 0) -> None:
         for k, (kind, place) in enumerate(kinds):
-            rate = math.log(settings.FAULTS_PER_S) if happens else NEVER
+            rate = math.log(settings.FAULTS_PER_S)
             rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0, read))
 
     for i, channel in enumerate(channels):
@@ -53,9 +51,7 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
         if channel.ground:
             for kind in (FLOW_STEP, FLOW_RAMP):
                 add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
-            # one that is a state already is estimated with slopes that know how well the velocity is known
-            estimated = bool(proportions(channel.sensor.models, channel.period_s))
-            add(i, SCALE_SD, (SCALE, 0), read=channel.ground, happens=not estimated)
+            add(i, SCALE_SD, (SCALE, 0), read=channel.ground)
         if north is not None:
             add(i, settings.ANGLE_SD, (STEP, north))
             add(i, settings.ANGLE_SD, (RAMP, north))
