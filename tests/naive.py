@@ -2325,7 +2325,7 @@ def larger(own):
     return max(own[fault_bank.SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
 
 
-def take_reading(bank, mem, dims, at, near, velocity, channel, time_s, counts, used):
+def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
     onsets, table, D, s, J, _, heard = _bank(bank)
     a, n = dims[0], dims[1]
     H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + n * a].reshape(n, a)
@@ -2338,8 +2338,6 @@ def take_reading(bank, mem, dims, at, near, velocity, channel, time_s, counts, u
     for k, (kind, of, place, _, _, _, read) in enumerate(table):
         if of == channel and kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
             F[: int(read), :, k] = -near[: int(read), 3 + int(place), None]
-        elif of == channel and kind == fault_bank.SCALE:
-            F[: int(read), :, k] = (near[: int(read), 3:6] @ velocity)[:, None]
         elif of == channel:
             F[int(place), :, k] = 1.0
         if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP):

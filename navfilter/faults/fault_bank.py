@@ -25,10 +25,9 @@ from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.kernels import fault_bank as kernel
-from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, SCALE, STATE, STEP, TABLE, WINDOWS
+from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
 from navfilter.models.error_models import ErrorModel, block_level
-from navfilter.models.fault_bias import SCALE as SCALE_SD
-from navfilter.models.fault_bias import currents, offset_states, proportions, with_offsets
+from navfilter.models.fault_bias import currents, offset_states, with_offsets
 from navfilter.models.learned_arma import UNLEARNT, changed, is_learnt, learning_part
 from navfilter.models.sensors.observable import Observable
 
@@ -51,7 +50,6 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
         if channel.ground:
             for kind in (FLOW_STEP, FLOW_RAMP):
                 add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
-            add(i, SCALE_SD, (SCALE, 0), read=channel.ground)
         if north is not None:
             add(i, settings.ANGLE_SD, (STEP, north))
             add(i, settings.ANGLE_SD, (RAMP, north))
@@ -172,7 +170,6 @@ def judge(filter: FilterState) -> Iterator[Action]:
         yield Adopt(Change(other.channel.name, other.models))
         return
     grows, age_s = _grows(table[chosen]), max(memory.time_s - onsets[window], 1.0)
-    speed = max(math.hypot(*memory.nav[3:6].tolist()), settings.SLOW)
     now = np.where(grows, age_s, 1.0)
     at = window * len(table) + chosen
     M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(now**2 / table[chosen, kernel.VARIANCE]))
@@ -186,19 +183,17 @@ def judge(filter: FilterState) -> Iterator[Action]:
         for k in mine:
             own[k] = channel, int(table[chosen[k], kernel.KIND]), int(table[chosen[k], kernel.PLACE])
         if not all(_state(*own[k]) for k in mine):
-            size = now[mine] * np.where(table[chosen[mine], kernel.KIND] == SCALE, speed, 1.0)
-            known, off = size * np.sqrt(np.diag(M))[mine], size * np.sqrt(m**2 + np.diag(M))[mine]
+            known, off = now[mine] * np.sqrt(np.diag(M))[mine], now[mine] * np.sqrt(m**2 + np.diag(M))[mine]
             wanders = float(np.linalg.norm(off[grows[mine]])) / math.sqrt(age_s)
             of = table[begins, kernel.CHANNEL] == i
             channel.faults.odds = max(odds[window, of].max() - max(odds[window, ~of].max(), 0.0), 0.0) + kernel.GONE
-            yield Adopt(Change(channel.name, _opened(channel, float(known.max()), speed, wanders), offsets=True))
+            yield Adopt(Change(channel.name, _opened(filter, channel, float(known.max()), wanders), offsets=True))
         yield Count("jumped")
     bank = memory.monitor.bank
     D, s, J = parts(bank)[2:5]
     done = D[:, at]
     for k, (channel, kind, place) in own.items():
-        for state, unit in _state(channel, kind, place):
-            done[state, k] += unit * now[k]
+        done[_state(channel, kind, place), k] += now[k]
     yield Correct(done @ m, done @ M @ done.T)
     if -1 in table[chosen, kernel.CHANNEL]:
         yield Count("shifted")
@@ -316,21 +311,20 @@ def _others(filter: FilterState) -> Iterator[_Other]:
             yield _Other(float(gain + rate + more[at[0]]), channel, models, D[:, at] @ prior @ D[:, at].T)
 
 
-def _opened(channel: Channel, size: float, speed: float, wanders: float) -> tuple[ErrorModel, ...]:
+def _opened(filter: FilterState, channel: Channel, size: float, wanders: float) -> tuple[ErrorModel, ...]:
     """Error models of a sensor with states for what it is off by."""
     north, models = channel.sensor.observes.north, channel.sensor.models
     if north is not None:
         return with_offsets(models, size, density=wanders, only=north, deviates=True)
-    return with_offsets(models, size, speed, density=wanders)
+    speed = math.hypot(*filter.memory.nav[3:6].tolist())
+    return with_offsets(models, size, max(speed, settings.SLOW), density=wanders)
 
 
-def _state(channel: Channel, kind: int, place: int) -> list[tuple[int, float]]:
-    """Which state is the size of a fault of a sensor, and what it is per unit; none where it has none such."""
+def _state(channel: Channel, kind: int, place: int) -> list[int]:
+    """Which state is the size of a fault of a sensor; none where it has none such."""
     models, period_s = channel.sensor.models, channel.period_s
     if kind in (FLOW_STEP, FLOW_RAMP):
-        found = [(state, 1.0) for state, component in currents(models, period_s) if component == place]
-    elif kind == SCALE:
-        found = proportions(models, period_s)
+        found = [state for state, component in currents(models, period_s) if component == place]
     else:
-        found = [(state, 1.0) for state in offset_states(models, period_s, place).tolist()[:1]]
-    return [(channel.group.start + state, unit) for state, unit in found]
+        found = offset_states(models, period_s, place).tolist()[:1]
+    return [channel.group.start + state for state in found]

@@ -171,7 +171,7 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
         limits[0, i] = math.inf
     _corrected(bench, spot, P, nav, x, drv, Cr, C, R, spot[MOVES] != 0 and seen >= 3, flat(limits))
     if spot[BANK]:
-        _note_faults(bench, spot, nav, int(0))
+        _note_faults(bench, spot, int(0))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -338,19 +338,18 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         fault_bank.carry(bank, shaped(mem[: m * m], m, m), int(0))
         if b > 0:
             fault_bank.carry(bank, shaped(mem[m * m : m * m + b * b], b, b), start)
-        _note_faults(bench, spot, nav, int(1))
+        _note_faults(bench, spot, int(1))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def _note_faults(bench, spot, nav, counts):
+def _note_faults(bench, spot, counts):
     """Show the bank of faults the last reading of a channel; counts: 1 where it is evidence if it was used."""
     a, parameters, mem = spot[0], spot[6], bench[spot[MEM] : spot[CONSTANTS]]
     places = kalman.memory_offsets(spot[:8])
     verdict, near = places[8], shaped(mem[places[7] : places[8]], a, 9 + parameters)
     used, time_s = mem[verdict + 2] != 0.0, mem[verdict + 3 + 2 * a + LAST_S]
     counted = counts != 0 and used
-    taken = near, nav[3:6], spot[INDEX], time_s, counted, used
-    fault_bank.take_reading(bench[spot[BANK] :], mem, spot, places, *taken)
+    fault_bank.take_reading(bench[spot[BANK] :], mem, spot, places, near, spot[INDEX], time_s, counted, used)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

@@ -33,8 +33,8 @@ SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ
 # signatures are of one fault with it (0: it belongs to the one before), and how many axes read what moves.
 KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, READ, TABLE = range(8)
 # How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
-# against; a step or a drift of a state of the drive; a scale of a velocity.
-STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT, SCALE = range(7)
+# against; a step or a drift of a state of the drive.
+STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT = range(6)
 # A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand; and believed to be
 # none where that is so much likelier than the fault: one in twenty. (chosen)
 BELIEVED, GONE = 10.0, 3.0
@@ -103,12 +103,11 @@ def larger(own):
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def take_reading(bank, mem, dims, at, near, velocity, channel, time_s, counts, used):
+def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
     """A reading as the filter left it in its channel's memory.
 
-    dims, at: see `kalman.memory_offsets`; near (a, 9 + parameters): its Jacobian; velocity: that of the
-    vehicle in n; channel: its place among all; counts: whether its innovation is evidence; used: whether it corrected
-    the state.
+    dims, at: see `kalman.memory_offsets`; near (a, 9 + parameters): its Jacobian; channel: its place among all; counts:
+    whether its innovation is evidence; used: whether it corrected the state.
     """
     a, n, c = dims[0], dims[1], int(bank[SIGNATURES])
     columns = WINDOWS * c
@@ -137,9 +136,6 @@ def take_reading(bank, mem, dims, at, near, velocity, channel, time_s, counts, u
             unit = 0.0
             if kind in (FLOW_STEP, FLOW_RAMP):
                 unit = -near[i, 3 + place] if i < table[k, READ] else 0.0
-            elif kind == SCALE:
-                for j in range(3 if i < table[k, READ] else 0):
-                    unit += near[i, 3 + j] * velocity[j]
             elif i == place:
                 unit = 1.0
             for w in range(WINDOWS):
