@@ -10,6 +10,7 @@ import pytest
 from feeding import once_a_second
 
 import navfilter as nf
+from navfilter.faults import fault_bank
 from navfilter.simulation.scenarios import lawnmower, survey, survey_vehicle
 from navfilter.simulation.simulate import Faults, simulate
 
@@ -53,6 +54,14 @@ def test_a_gauge_that_leaves_slowly_makes_the_height_unsure(name):
     assert FAULT_S < opened[0, 0] < BACK_S and nav.counts["jumped"] > 1
     # whichever of the two it was
     assert (np.abs(opened[:, 1]) < 3.0 * opened[:, 2]).all()
+
+
+def test_what_innovations_told_before_a_gauge_was_opened_again_accuses_nothing_else():
+    """The unit's gyros were given up for a gauge that drifts, and the state with them."""
+    _, nav = fly("depth", of("depth"))
+    opened_s = nav.filter.channels["depth"].faults.jumped_s
+    assert nav.counts["jumped"] > 2 and opened_s > FAULT_S
+    assert (fault_bank.parts(nav.filter.memory.monitor.bank)[0] >= opened_s).all()
 
 
 def test_fixes_tell_the_height_then():

@@ -1,4 +1,5 @@
-"""A campaign: seeds -> missions -> one run per model -> results, on all cores, continued where it was stopped.
+"""A campaign: seeds -> missions -> one run per model -> results, on all cores or on a cluster, continued where it was
+stopped.
 
 A job is one seed: its mission is simulated once and replayed with every model, so that models are compared on the same
 missions. What a job returns depends on nothing but the settings, the seed and the model; which process does it does not
