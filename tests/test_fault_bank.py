@@ -162,6 +162,16 @@ def test_an_error_model_that_is_wrong_is_no_fault(error):
     assert not track.counts["shifted"] and not track.counts["jumped"]
 
 
+@pytest.mark.parametrize("mems", [False, True])
+def test_an_hour_without_a_fault_has_none(mems):
+    """What adds up little by little takes more than a dive to be believed: a scale of the velocity took 15 minutes."""
+    vehicle = survey_vehicle(mems=mems)
+    fixes = {"gps": Faults(available=tuple((begin_s, begin_s + 120.0) for begin_s in np.arange(0.0, 3600.0, 900.0)))}
+    mission = simulate(vehicle, survey(3600.0, surface_s=110.0), seed=100, duration_s=3600.0, faults=fixes)
+    counts = nf.replay(vehicle, mission).counts
+    assert [counts[name] for name in ("jumped", "shifted", "reset", "contradicted")] == [0, 0, 0, 0]
+
+
 def test_stretches_lives_and_snapshots_give_the_same(monkeypatch):
     vehicle, mission = long_dive()
     broken = shifted_by(mission, 0, -50.0).between(0.0, SHIFT_S + 70.0)
