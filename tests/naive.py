@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from navfilter.kernels import fault_bank
+from navfilter.kernels import consistency, fault_bank
 from navfilter.kernels import strapdown as strapdown_kernels
 from navfilter.kernels.compiling import addresses
 
@@ -2299,20 +2299,45 @@ def update_scale(kept, facts, mem, S, verdict, R, north, P, nav, Cr, time_s, ign
 # --- the bank of faults ----------------------------------------------------------------------------------------------
 
 
+def width(bank):
+    return fault_bank.WINDOWS * int(bank[fault_bank.SIGNATURES]) + int(bank[fault_bank.BEGUN])
+
+
+def signatures_of(bank, window):
+    c, f = int(bank[fault_bank.SIGNATURES]), int(bank[fault_bank.BEGUN])
+    return (0, c, window * c) if window < fault_bank.WINDOWS else (c, c + f, window * c)
+
+
+def _shapes(bank):
+    c, n, channels, f = bank[[fault_bank.SIGNATURES, fault_bank.STATES, fault_bank.CHANNELS, fault_bank.BEGUN]].astype(
+        int
+    )
+    N = fault_bank.WINDOWS * c + f
+    windows, told = (fault_bank.WINDOWS + 1,), (channels, fault_bank.HEARD)
+    return windows, (c + f, fault_bank.TABLE), (n, N), (N,), (N, N), (N,), told
+
+
 def places(bank):
-    c, n = int(bank[fault_bank.SIGNATURES]), int(bank[fault_bank.STATES])
-    N = fault_bank.WINDOWS * c
-    table = fault_bank.ONSETS + fault_bank.WINDOWS
-    heard = int(bank[fault_bank.CHANNELS]) * fault_bank.HEARD
-    return tuple(np.cumsum([table, c * fault_bank.TABLE, n * N, N, N * N, N, heard]).tolist())
+    sizes = [fault_bank.ONSETS, *(np.prod(shape) for shape in _shapes(bank))]
+    return tuple(np.cumsum(sizes)[1:].astype(int).tolist())
 
 
 def _bank(bank):
     """Onsets, table, D (n, N), s (N,), J (N, N), what is on top of the odds (N,), what channels have said; views."""
-    c, n = int(bank[fault_bank.SIGNATURES]), int(bank[fault_bank.STATES])
-    N, ends = fault_bank.WINDOWS * c, (fault_bank.ONSETS, *places(bank))
-    shapes = (fault_bank.WINDOWS,), (c, fault_bank.TABLE), (n, N), (N,), (N, N), (N,), (-1, fault_bank.HEARD)
-    return [bank[i:j].reshape(shape) for i, j, shape in zip(ends[:-1], ends[1:], shapes, strict=True)]
+    ends = (fault_bank.ONSETS, *places(bank))
+    return [bank[i:j].reshape(shape) for i, j, shape in zip(ends[:-1], ends[1:], _shapes(bank), strict=True)]
+
+
+def _column(bank, window, k):
+    c = int(bank[fault_bank.SIGNATURES])
+    return window * c + k - (c if window == fault_bank.WINDOWS else 0)
+
+
+def _each(bank):
+    """Every column's window and signature."""
+    for window in range(fault_bank.WINDOWS + 1):
+        begins, ends, _ = signatures_of(bank, window)
+        yield from ((window, k) for k in range(begins, ends))
 
 
 def carry(bank, Phi, first):
@@ -2325,32 +2350,58 @@ def larger(own):
     return max(own[fault_bank.SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
 
 
-def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
+def description_slope(component, nav, velocity, motion, by):
+    C = nav[6:15].reshape(3, 3)
+    rate, force = C @ motion[:3], C @ motion[3:] + np.array([0.0, 0.0, strapdown_kernels.gravity(nav[0], nav[2])])
+    if component < 3:
+        by[2] = np.cross(rate, C[:, component])
+    elif component == 3:
+        by[2] = (np.cross(rate, velocity) - force) * bool(motion[3:].any())
+    else:
+        by[2] = np.cross(velocity, C[:, component - 4])
+
+
+def _slope(table, k, near, nav, velocity, own):
+    """What a unit of a signature adds to a reading, but for its age; shape (a,)."""
+    kind, _, place, _, _, _, read = table[k]
+    over_ground, by = (np.arange(len(near)) < read) * near[:, 3:6].T, np.zeros((3, 3))
+    if kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
+        return -over_ground[int(place)]
+    if kind == fault_bank.SCALE:
+        return velocity @ over_ground
+    if kind == fault_bank.DESCRIBED:
+        description_slope(int(place), nav, velocity, own[fault_bank.THEN : fault_bank.THEN + 6], by)
+        return by[2] @ over_ground
+    return np.eye(len(near))[int(place)] if kind in (fault_bank.STEP, fault_bank.RAMP) else np.zeros(len(near))
+
+
+def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, counts, used):
     onsets, table, D, s, J, _, heard = _bank(bank)
     a, n = dims[0], dims[1]
     H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + n * a].reshape(n, a)
     inverse, y = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a), mem[at[8] + 3 : at[8] + 3 + a]
     seen = ~np.isnan(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
-    for k in np.flatnonzero(table[:, fault_bank.KIND] == fault_bank.DRIFT):
-        D[int(table[k, fault_bank.PLACE]), k :: len(table)] += time_s - bank[fault_bank.READ_S]
-    bank[fault_bank.READ_S] = time_s
-    F = np.zeros((a, fault_bank.WINDOWS, len(table)))
-    for k, (kind, of, place, _, _, _, read) in enumerate(table):
-        if of == channel and kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
-            F[: int(read), :, k] = -near[: int(read), 3 + int(place), None]
-        elif of == channel:
-            F[int(place), :, k] = 1.0
-        if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP):
-            F[:, :, k] *= time_s - onsets
-    G = np.where(seen[:, None], H @ D + F.reshape(a, -1), 0.0)
+    own, C = heard[channel], nav[6:15].reshape(3, 3)
+    held = own[fault_bank.THEN + 6 : fault_bank.THEN + 9]
+    new = C.T @ nav[3:6]
+    held[:] = np.where(np.abs(new - held) <= band, held + consistency.FOLLOWED * (new - held), new)
+    G = np.zeros((a, width(bank)))
+    for window, k in _each(bank):
+        kind, of, place = table[k, :3]
+        column = _column(bank, window, k)
+        if kind == fault_bank.DRIFT:
+            D[int(place), column] += time_s - bank[fault_bank.READ_S]
+        F = _slope(table, k, near, nav, C @ held, own) if of == channel else np.zeros(a)
+        aged = kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP)
+        G[:, column] = np.where(seen, H @ D[:, column] + F * (time_s - onsets[window] if aged else 1.0), 0.0)
+    bank[fault_bank.READ_S], own[fault_bank.THEN : fault_bank.THEN + 6] = time_s, motion
     if counts:
-        own, sd = heard[channel], np.sqrt(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
-        before = own[fault_bank.BEFORE :]
-        share = np.repeat(1.0 / np.sqrt(np.where(before > 0.0, before, larger(own))), len(table))
+        sd, before = np.sqrt(mem[at[8] + 3 + a : at[8] + 3 + 2 * a]), own[fault_bank.BEFORE :]
+        share = [1.0 / math.sqrt(before[w] if before[w] > 0.0 else larger(own)) for w, _ in _each(bank)]
         own[fault_bank.READINGS] += 1.0
         few = np.arange(min(a, fault_bank.AXES))
         own[fault_bank.SUMS + few] += np.where(seen, y / sd, 0.0)[few]
-        s += share**2 * (G[seen].T @ inverse[np.ix_(seen, seen)] @ y[seen])
+        s += np.square(share) * (G[seen].T @ inverse[np.ix_(seen, seen)] @ y[seen])
         J += np.outer(share, share) * (G.T @ inverse @ G)
     if used:
         turn = mem[at[4] : at[5]]
@@ -2365,25 +2416,35 @@ def judged(bank, window, k, time_s, out):
     kind, _, _, variance, rate, together, _ = table[k]
     age = max(time_s - onsets[window], 1.0)
     V = variance / (age**2 if kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP, fault_bank.DRIFT) else 1.0)
-    own = window * len(table) + k + np.arange(int(together))
+    own = _column(bank, window, k) + np.arange(int(together))
     M = np.linalg.inv(J[np.ix_(own, own)] + np.eye(len(own)) / V)
     m = M @ s[own]
-    out[0] = 0.5 * s[own] @ m + 0.5 * np.linalg.slogdet(M / V)[1] + rate + np.log(age) + more[own[0]]
+    out[0] = 0.5 * s[own] @ m + 0.5 * np.linalg.slogdet(M / V)[1] + rate + more[own[0]]
+    out[0] += np.log(age) if window < fault_bank.WINDOWS else 0.0
     place, heading = D[:2, own], D[8:9, own]
     out[1], out[3] = np.linalg.norm(place @ m), np.linalg.norm(heading @ m)
     out[2], out[4] = (np.sqrt(max(np.linalg.eigvalsh(A @ M @ A.T)[-1], 0.0)) for A in (place, heading))
 
 
 def begin_window(bank, window, time_s):
-    onsets, table, D, s, J, more, heard = _bank(bank)
+    onsets, table, D, _, _, more, heard = _bank(bank)
     for row in heard:
         row[fault_bank.BEFORE + window] = (
             larger(row) if row[fault_bank.TOLD] >= fault_bank.DOUBTED + fault_bank.CONFIRMED else 0.0
         )
-    own = window * len(table) + np.arange(len(table))
-    onsets[window], s[own], more[own], D[:, own], J[own], J[:, own] = time_s, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in np.flatnonzero(table[:, fault_bank.KIND] == fault_bank.STATE):
-        D[int(table[k, fault_bank.PLACE]), own[k]] = 1.0
+    onsets[window] = time_s
+    for w, k in _each(bank):
+        if w == window:
+            column = _column(bank, w, k)
+            forget(bank, column)
+            more[column] = 0.0
+            if table[k, fault_bank.KIND] == fault_bank.STATE:
+                D[int(table[k, fault_bank.PLACE]), column] = 1.0
+
+
+def forget(bank, at):
+    _, _, D, s, J, _, _ = _bank(bank)
+    s[at], D[:, at], J[at], J[:, at] = 0.0, 0.0, 0.0, 0.0
 
 
 def look(bank, time_s):
@@ -2399,9 +2460,11 @@ def look(bank, time_s):
             own[fault_bank.PRODUCT] += (np.mean(mean * sums[1, mine]) - own[fault_bank.PRODUCT]) / told
             sums[0, mine], sums[1, mine] = 0.0, mean
         own[fault_bank.READINGS] = 0.0
-    for w in range(fault_bank.WINDOWS):
-        odds = []
-        for k in np.flatnonzero(table[:, fault_bank.TOGETHER] > 0.0):
+    for w in range(fault_bank.WINDOWS + 1):
+        odds, is_moved, (begins, ends, _) = [], w < fault_bank.WINDOWS, signatures_of(bank, w)
+        for k in range(begins, ends):
+            if table[k, fault_bank.TOGETHER] == 0.0:
+                continue
             judged(bank, w, k, time_s, found)
             odds.append(found[0])
             share = 1.0 / (1.0 + np.exp(-found[0])) / fault_bank.RISK
@@ -2411,11 +2474,12 @@ def look(bank, time_s):
                     bank[at],
                     (found[first] + sds * found[first + 1])
                     * (share > 1.0)
+                    * is_moved
                     * (bank[fault_bank.LOOKS] >= fault_bank.CONFIRMED),
                 )
         turn = bank[fault_bank.LOOKS]
         most = max(most, *odds) if turn >= fault_bank.CONFIRMED else most
-        if turn < fault_bank.CONFIRMED or (turn % 2 ** (w + 1) == 2**w and max(odds) < 0.0):
+        if is_moved and (turn < fault_bank.CONFIRMED or (turn % 2 ** (w + 1) == 2**w and max(odds) < 0.0)):
             begin_window(bank, w, time_s)
     bank[fault_bank.LOOKS] += 1.0
     bank[[fault_bank.LOOKED_S, fault_bank.ODDS]] = time_s, most

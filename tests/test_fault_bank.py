@@ -13,6 +13,7 @@ from state_differences import differences
 from test_agreement import altered, feed, fly
 
 import navfilter as nf
+from navfilter.evaluation.diagnostics import doubts, evidence
 from navfilter.faults import fault_bank, settings
 from navfilter.filter.model_change import Change
 from navfilter.kernels import fault_bank as kernels
@@ -80,6 +81,53 @@ def test_after_the_dive_fixes_tell_of_a_bottom_that_moved(mems):
     assert np.abs(errors.velocity_n[late, :2]).max() < 0.15  # of 0.25
 
 
+def test_a_mounting_that_is_described_wrongly_is_found_without_fixes():
+    """A DVL turned by 5 deg: the unit feels other turns than it shows, but from no reading to the next."""
+    vehicle, mission = long_dive(400.0)
+    stream, angle = mission.streams["dvl"], 5.0 * DEG
+    turned = stream.value @ matrix_from_euler(0.0, 0.0, angle)
+    track = nf.replay(vehicle, mission.with_stream("dvl", nf.Stream(stream.time_s, turned, stream.columns)))
+    late = track.time_s > 250.0
+    assert track.counts["arm-or-clock"] == 1 and not track.counts["jumped"]
+    at = track.state_names.index("dvl_x[0]")
+    assert abs(abs(track.states[-1, at]) - angle) < 0.7 * DEG
+    off = track.errors(mission.truth).position_n[late, :2]
+    assert np.hypot(*off.T).max() < 12.0  # 40 m where it is believed
+    said = [one for one in doubts(track, mission, evidence(track)) if one.code == "arm-or-clock"]
+    assert [one.stream for one in said] == ["dvl"] and "it is turned in heading by" in said[0].text
+
+
+def test_a_start_that_is_told_wrongly_is_set_right():
+    vehicle, mission = long_dive()
+    told = dataclasses.replace(mission.start, roll_deg=mission.start.roll_deg + 3.0, tilt_sd_deg=0.05)
+    track = nf.replay(vehicle, mission.with_start(told), output_rate_hz=1.0)
+    errors, late = track.errors(mission.truth), track.time_s > 150.0
+    assert track.counts["realigned"] == 1 and not track.counts["shifted"]
+    assert np.mean(track.nees(errors)["attitude"][late]) < 30.0  # 300 where the start is believed
+
+
+def test_a_scale_of_a_velocity_is_told_from_other_faults():
+    """The velocity of water or bottom, a constant: none of them is in proportion to the speed, on every course."""
+    vehicle, mission = long_dive(350.0, mems=True)
+    stream = mission.streams["dvl"]
+    value = stream.value * (1.0 + 0.05 * (stream.time_s >= SHIFT_S))[:, None]
+    track = nf.replay(vehicle, mission.with_stream("dvl", nf.Stream(stream.time_s, value, stream.columns)))
+    errors, late = track.errors(mission.truth), track.time_s > 400.0
+    assert track.counts["jumped"] >= 1 and has_offset(track.error_models["dvl"][-1][1])
+    assert np.mean(track.nees(errors)["velocity"][late]) < 3.0  # 20 where it is believed
+
+
+def test_nothing_that_begins_later_is_from_the_start():
+    vehicle, mission = long_dive()
+    nav = fly(vehicle, mission.between(0.0, 30.0))[0]
+    bank = nav.filter.memory.monitor.bank
+    D, more = fault_bank.parts(bank)[2], fault_bank.parts(bank)[5]
+    begun = kernels.signatures_of(bank, kernels.WINDOWS)[2]
+    assert D[8, begun + 2] != 0.0 and (more[begun:] == 0.0).all()
+    nav.filter.monitor.begin_again(nav.filter, nav.filter.memory.monitor)
+    assert not D[:9, begun:].any() and (more[begun:] == fault_bank.NEVER).all()
+
+
 def test_a_bank_that_begins_again_knows_the_error_models_that_innovations_have_told():
     """Else what fixes say after the dive is doubted as if nobody had heard one before."""
     vehicle, mission = long_dive()
@@ -88,9 +136,9 @@ def test_a_bank_that_begins_again_knows_the_error_models_that_innovations_have_t
     assert (heard[:, kernels.TOLD] > kernels.DOUBTED + kernels.CONFIRMED).all()
     filter.monitor.begin_again(filter, filter.memory.monitor)
     onsets, *_, after = fault_bank.parts(filter.memory.monitor.bank)
-    assert (onsets == filter.memory.time_s).all()
+    assert (onsets[: kernels.WINDOWS] == filter.memory.time_s).all()
     np.testing.assert_array_equal(after[:, : kernels.BEFORE], heard[:, : kernels.BEFORE])
-    assert (after[:, kernels.BEFORE :] >= 1.0).all()
+    assert (after[:, kernels.BEFORE : kernels.BEFORE + kernels.WINDOWS] >= 1.0).all()
 
 
 def test_a_fix_that_is_refused_tells_the_size_of_the_fault_that_explains_it_and_no_other():
@@ -103,8 +151,8 @@ def test_a_fix_that_is_refused_tells_the_size_of_the_fault_that_explains_it_and_
     flow = int(np.flatnonzero(table[:, kernels.KIND] == kernels.FLOW_STEP)[0])
     _, _, D, s, J, more, heard = fault_bank.parts(bank)
     s[:], J[:], more[:] = 0.0, 0.0, 0.0
-    heard[:, kernels.BEFORE :] = 1.0
-    at = window * len(table) + flow + np.arange(2)
+    heard[:, kernels.BEFORE : kernels.THEN] = 1.0
+    at = kernels.signatures_of(bank, window)[2] + flow + np.arange(2)
     G = gps.H @ D[:, at]
     a, size = gps.axes, np.array([0.4, -0.2])
     gps.note[3 : 3 + a], gps.note[3 + a : 3 + 2 * a] = G @ size, 1.0
@@ -112,7 +160,7 @@ def test_a_fix_that_is_refused_tells_the_size_of_the_fault_that_explains_it_and_
     S = gps.S[:a]
     np.testing.assert_allclose(J[np.ix_(at, at)], G.T @ np.linalg.solve(S, G), rtol=1e-9)
     np.testing.assert_allclose(s[at], G.T @ np.linalg.solve(S, G) @ size, rtol=1e-9)
-    begins = np.arange(kernels.WINDOWS)[:, None] * len(table) + np.flatnonzero(table[:, kernels.TOGETHER])
+    begins = fault_bank.columns(bank, *np.array(fault_bank.hypotheses(bank)).T)
     silent = begins[more[begins] == 0.0]
     assert 0 < len(silent) < begins.size and not J[silent].any() and not s[silent].any()
     rare = math.log(settings.FAULTS_PER_S * max(filter.memory.time_s - gps.memory.used_s, gps.period_s))
@@ -121,7 +169,7 @@ def test_a_fix_that_is_refused_tells_the_size_of_the_fault_that_explains_it_and_
     ]
     assert more[at[0]] == pytest.approx(likely[0] - likely[1] - rare)
     # where innovations are as large as that anyway, it has not jumped, and no fault is likelier for it
-    heard[:, kernels.BEFORE :] = 1e3
+    heard[:, kernels.BEFORE : kernels.THEN] = 1e3
     before = more.copy()
     fault_bank.note_jump(filter, gps, filter.memory.time_s)
     assert (more == before).all()
@@ -204,7 +252,7 @@ def test_the_largest_transition_finds_room():
     nav = nf.Navigator(vehicle.with_error(dvl=long), mission.start)
     layout, channels = nav.filter.layout, nav.filter.channels
     _, more = fault_bank.room(layout, channels)
-    columns = kernels.WINDOWS * len(fault_bank.signatures(layout, list(channels.values())))
+    columns = kernels.width(nav.filter.memory.monitor.bank)
     assert layout.groups["dvl"].ticking > layout.head and more >= layout.groups["dvl"].ticking * columns
     assert nav.filter.bank.size == nav.filter.memory.monitor.bank.size + more
 
@@ -214,8 +262,8 @@ def test_a_unit_with_another_number_of_biases_begins_anew():
     nav, _ = fly(vehicle, mission.between(0.0, 80.0))
     nav.filter.adopt(Change("gyro", nf.GaussMarkov(sd=1e-5, tau_s=100.0) + nf.White(sd=1e-4)), nav.on_event)
     onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
-    assert np.all(onsets == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 2)
-    assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 and D.shape[0] == nav.filter.layout.size
+    assert np.all(onsets[: kernels.WINDOWS] == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 2)
+    assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 + 3 and D.shape[0] == nav.filter.layout.size
 
 
 def test_an_instrument_goes_wrong_under_all_of_its_names():
@@ -229,7 +277,8 @@ def test_an_instrument_goes_wrong_under_all_of_its_names():
     assert nav.counts["shifted"] >= 1 and nav.filter.channels["compass@2"].offset
     plain = nf.Navigator(vehicle, mission.start).filter
     names = [list(filter.channels.values()) for filter in (plain, nav.filter)]
-    assert len(fault_bank.signatures(plain.layout, names[0])) == len(fault_bank.signatures(plain.layout, names[1]))
+    ours, others = fault_bank.signatures(plain.layout, names[0]), fault_bank.signatures(plain.layout, names[1])
+    assert [*map(len, ours)] == [*map(len, others)]
 
 
 def test_what_is_believed_is_not_given_up_by_what_was_decided_before():
@@ -258,9 +307,9 @@ def test_what_an_offset_has_taken_already_is_not_taken_twice():
     state, size, told = compass.group.start + int(compass.offsets[0]), 3.0 * DEG, []
     bank = filter.memory.monitor.bank
     onsets, table, D, s, J, more, _ = fault_bank.parts(bank)
-    window = int(np.argmin(np.where(onsets > 149.0, onsets, math.inf)))
+    window = int(np.argmin(np.where(onsets[: kernels.WINDOWS] > 149.0, onsets[: kernels.WINDOWS], math.inf)))
     step = np.flatnonzero((table[:, kernels.KIND] == kernels.STEP) & (table[:, kernels.CHANNEL] == 0))[0]
-    column = window * len(table) + step
+    column = kernels.signatures_of(bank, window)[2] + step
     s[:], J[:], more[:], bank[kernels.ODDS] = 0.0, 0.0, 0.0, 20.0
     s[column], J[column, column] = 1e8 * size, 1e8
     taken, before = D[state, column], filter.x[state - 9]
@@ -294,6 +343,10 @@ def _with_fault(mission, kind, place, begin_s):
         return over_a_bottom(mission, lambda age: SMALL * ages(age)[:, None] * np.eye(2)[place], begin_s)
     if kind == kernels.STATE:
         return altered(mission, "imu", lambda v: v + SMALL * np.eye(6)[place], begin_s)
+    if kind == kernels.SCALE:
+        stream = mission.streams["dvl"]
+        value = stream.value * (1.0 + SMALL * (stream.time_s >= begin_s))[:, None]
+        return mission.with_stream("dvl", nf.Stream(stream.time_s, value, stream.columns))
     stream = mission.streams["compass"]
     age = stream.time_s - begin_s
     off = SMALL * np.where(age >= 0.0, age if kind == kernels.RAMP else 1.0, 0.0)
@@ -302,7 +355,14 @@ def _with_fault(mission, kind, place, begin_s):
 
 @pytest.mark.parametrize(
     ("kind", "place"),
-    [(kernels.STEP, 0), (kernels.RAMP, 0), (kernels.FLOW_STEP, 0), (kernels.FLOW_RAMP, 1), (kernels.STATE, 2)],
+    [
+        (kernels.STEP, 0),
+        (kernels.RAMP, 0),
+        (kernels.FLOW_STEP, 0),
+        (kernels.FLOW_RAMP, 1),
+        (kernels.STATE, 2),
+        (kernels.SCALE, 0),
+    ],
 )
 def test_what_a_fault_does_is_what_the_filter_makes_of_it(kind, place):
     vehicle, mission = long_dive()
@@ -314,7 +374,7 @@ def test_what_a_fault_does_is_what_the_filter_makes_of_it(kind, place):
     own = place if kind != kernels.STATE else state.start + int(state.biases[place][0])
     column = next(k for k, row in enumerate(table) if row[kernels.KIND] == kind and row[kernels.PLACE] == own)
     assert onsets[window] < 70.0  # the longest window begins when the start is confirmed
-    done = SMALL * D[:9, window * len(table) + column]
+    done = SMALL * D[:9, kernels.signatures_of(nav.filter.memory.monitor.bank, window)[2] + column]
     moved = faulty.state.minus(nav.state)[:9]  # errors are what is true less what is estimated
     # Gains turn with the heading, by which faults differ to second order; a heading counts as what it does to velocity.
     moved[6:], done[6:] = 1.7 * moved[6:], 1.7 * done[6:]
@@ -332,13 +392,17 @@ def _random_bank(rng, n=14, channels=2):
         (3, 1, 1, 0),
         (4, -1, 11, 1),
         (5, -1, 10, 1),
+        (7, 0, 0, 1),
     ]
-    c = len(kinds)
+    from_start = [(4, -1, 6, 3), (4, -1, 7, 0), (4, -1, 8, 0), *((6, 1, i, (3, 0, 0, 1, 3, 0, 0)[i]) for i in range(7))]
+    c, f = len(kinds), len(from_start)
+    kinds += from_start
     bank = np.zeros(kernels.ONSETS)
-    bank[[kernels.SIGNATURES, kernels.STATES, kernels.CHANNELS, kernels.LOOKS]] = c, n, channels, rng.integers(0, 64)
-    bank = np.concatenate([bank, np.zeros(naive.places(bank)[-1] - kernels.ONSETS + 40 * kernels.WINDOWS * c)])
+    bank[[kernels.SIGNATURES, kernels.STATES, kernels.CHANNELS, kernels.BEGUN]] = c, n, channels, f
+    bank[kernels.LOOKS] = rng.integers(0, 64)
+    bank = np.concatenate([bank, np.zeros(naive.places(bank)[-1] - kernels.ONSETS + 40 * naive.width(bank))])
     onsets, table, D, s, J, more, heard = naive._bank(bank)
-    onsets[:] = rng.uniform(0.0, 90.0, kernels.WINDOWS)
+    onsets[:] = rng.uniform(0.0, 90.0, len(onsets))
     for row, (kind, channel, place, together) in zip(table, kinds, strict=True):
         row[:] = kind, channel, place, rng.uniform(0.5, 2.0), -12.0, together, 2.0
     D[:], s[:], J[:], more[:] = rng.normal(size=D.shape), rng.normal(size=len(s)), spd(rng, len(s)), 0.1
@@ -364,9 +428,14 @@ def test_the_kernels_and_their_twins(seed):
 
     same(kernels.carry, rng.normal(size=(11, 11)), 0)
     same(kernels.carry, rng.normal(size=(2, 2)), 12)
-    same(kernels.begin_window, seed, 100.0)
-    for k in (0, 1, 2, 4, 6, 7):
+    same(kernels.begin_window, seed + 1, 100.0)
+    same(kernels.forget, 5 * seed)
+    assert kernels.width(bank) == naive.width(bank)
+    assert kernels.signatures_of(bank, seed + 1) == naive.signatures_of(bank, seed + 1)
+    for k in (0, 1, 2, 4, 6, 7, 8):
         same(kernels.judged, seed, k, 95.0, np.zeros(5), rtol=1e-9)
+    for k in (9, 12, 15, 16):
+        same(kernels.judged, kernels.WINDOWS, k, 95.0, np.zeros(5), rtol=1e-9)
     dims = np.array([a, n, 11, 2, 12, 2, 0, 0])
     at = np.array(kalman.memory_offsets(dims))
     mem = rng.normal(size=at[-1])
@@ -376,7 +445,14 @@ def test_the_kernels_and_their_twins(seed):
     if seed == 1:
         mem[at[8] + 3 + a] = np.nan  # a component that is left out
     for counts, used in ((True, True), (False, True), (True, False)):
-        same(kernels.take_reading, mem, dims, at, rng.normal(size=(a, 9)), seed % 2, 95.0, counts, used)
+        seen = rng.normal(size=(a, 9)), random_nav(rng), rng.normal(size=6), 0.5
+        same(kernels.take_reading, mem, dims, at, *seen, seed % 2, 95.0, counts, used)
+    for component in range(7):
+        moving = random_nav(rng), rng.normal(size=3), rng.normal(size=6)
+        ours, twins = (
+            k.description_slope(component, *moving, by := np.zeros((3, 3))) or by[2] for k in (kernels, naive)
+        )
+        assert_close([ours], [twins], 1e-12)
     ours, twins = bank.copy(), bank.copy()
     assert kernels.look(ours, 100.0) == pytest.approx(naive.look(twins, 100.0), rel=1e-9)
     assert_close([ours[:size]], [twins[:size]], 1e-9)
@@ -396,7 +472,11 @@ def test_conditioning_is_that_of_a_filter_that_had_the_fault_as_a_state_from_its
     for window in range(kernels.WINDOWS):
         kernels.begin_window(bank, window, 0.0)
     table = naive._bank(bank)[1]
-    table[:, kernels.CHANNEL], table[6, kernels.PLACE] = [0, 0, 5, 5, 5, 5, -1, -1], 9
+    table[:9, kernels.CHANNEL], table[9:, kernels.CHANNEL], table[6, kernels.PLACE] = (
+        [0, 0, 5, 5, 5, 5, -1, -1, 5],
+        5,
+        9,
+    )
     naive._bank(bank)[6][:] = 0.0
     naive._bank(bank)[6][:, kernels.SQUARE] = 1.0
     x, P, size = np.zeros(n), spd(rng, n), 0.7
@@ -418,7 +498,8 @@ def test_conditioning_is_that_of_a_filter_that_had_the_fault_as_a_state_from_its
         mem[at[0] : at[1]], mem[at[1] : at[2]] = H.ravel(), K.ravel()
         mem[at[5] : at[6]] = np.vstack([S, np.linalg.inv(S)]).ravel()
         mem[at[8] : at[8] + 3 + 2 * a] = [1.0, a, 1.0, *y, *np.diag(S)]
-        kernels.take_reading(bank, mem, dims, at, np.zeros((a, 9)), 0, float(k + 1), True, True)
+        moving = random_nav(rng), np.zeros(6), 0.0
+        kernels.take_reading(bank, mem, dims, at, np.zeros((a, 9)), *moving, 0, float(k + 1), True, True)
         x, P = x + K @ y, P - K @ S @ K.T
         whole = np.column_stack([H, F])
         gain = big @ whole.T @ np.linalg.inv(whole @ big @ whole.T + R)

@@ -110,7 +110,7 @@ def bank(place, value):
 
 CHANGES = {
     "a bank of more faults than there is room for": bank(fault_bank.SIGNATURES, 1e6),
-    "a fault of a state that does not exist": bank(fault_bank.ONSETS + fault_bank.WINDOWS + fault_bank.PLACE, 1e6),
+    "a fault of a state that does not exist": bank(fault_bank.ONSETS + fault_bank.WINDOWS + 1 + fault_bank.PLACE, 1e6),
     "faults that were looked for at no time": bank(fault_bank.LOOKED_S, np.nan),
     "faults since no time": bank(fault_bank.ONSETS, np.inf),
     "P of another shape": shape("P", [3, 3]),

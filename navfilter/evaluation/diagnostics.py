@@ -471,7 +471,9 @@ def _mended(run: Track, unlucky: int) -> Iterator[Finding]:
         text = "it said nothing for a while, or nothing that can be: compass and DVL carried the state as far as heard."
         yield Finding("warning", "silent", name, text, "Was the log cut, or did the unit or its driver fail?")
     if count := run.counts.get("realigned", 0):
-        text = f"{counted(count, 'times')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
+        text = (
+            f"{counted(count, 'times')} the attitude was set anew: by accelerometers and DVL, or the start's was wrong."
+        )
         yield Finding("info", "realigned", name, text, where)
     if count := run.counts.get("shifted", 0):
         text = f"{counted(count, 'times')} the bias of a gyro shifted by more than its error model allows: learnt anew."
@@ -498,12 +500,14 @@ def _described_wrongly(run: Track) -> Iterator[Finding]:
         sensor = run.vehicle.sensors.get(name)
         if sensor is None:
             continue
-        found = descriptions(per_axis(history[-1][1], sensor.axes, name), 1.0 / sensor.rate_hz)
+        models = per_axis(history[-1][1], sensor.axes, name)
+        found = descriptions(models, 1.0 / sensor.rate_hz)
         axis = "_".join(part for part in (name, sensor.axis_names[0]) if part)
         at = {component: run.state_names.index(f"{axis}[{place}]") for place, component in found}
         parts = []
         for what, unit, factor, components in _DESCRIPTION:
-            if components[0] in at:
+            # one that has jumped may have been turned then
+            if components[0] in at and not (components == (6,) and has_offset(models)):
                 values = factor * run.states[-1, [at[component] for component in components]]
                 parts.append(f"{what} about {', '.join(f'{value:.2f}' for value in values)} {unit}")
         if parts:
@@ -518,6 +522,7 @@ _DESCRIPTION = (
     ("its place differs from lever_arm_b_m by", "m", 1.0, (0, 1, 2)),
     ("its stamps are late by", "s", 1.0, (3,)),
     ("it is turned in roll and pitch by", "deg", math.degrees(1.0), (4, 5)),
+    ("it is turned in heading by", "deg", math.degrees(1.0), (6,)),
 )
 
 

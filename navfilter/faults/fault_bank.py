@@ -18,29 +18,49 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import settings
+from navfilter.faults import settings, velocity_evidence
 from navfilter.filter.actions import Action, Adopt, Correct, Count
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.kernels import fault_bank as kernel
-from navfilter.kernels.fault_bank import DRIFT, FLOW_RAMP, FLOW_STEP, RAMP, STATE, STEP, TABLE, WINDOWS
+from navfilter.kernels.fault_bank import (
+    DESCRIBED,
+    DRIFT,
+    FLOW_RAMP,
+    FLOW_STEP,
+    RAMP,
+    SCALE,
+    STATE,
+    STEP,
+    TABLE,
+    WINDOWS,
+)
 from navfilter.models.error_models import ErrorModel, block_level
-from navfilter.models.fault_bias import currents, offset_states, with_offsets
+from navfilter.models.fault_bias import SCALE as SCALE_SD
+from navfilter.models.fault_bias import currents, offset_states, proportions, with_description, with_offsets
 from navfilter.models.learned_arma import UNLEARNT, changed, is_learnt, learning_part
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+#: Signatures that grow with the time.
+GROWING = (RAMP, FLOW_RAMP, DRIFT)
+#: Log odds of what cannot be. [nat]
+NEVER = -1e6
 
 
-def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
-    """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them; shape (c, TABLE)."""
+def signatures(layout: Layout, channels: Sequence[Channel]) -> tuple[Array, Array]:
+    """What may go wrong, a row each as `navfilter.kernels.fault_bank` has them, shape (c, TABLE); and what may be wrong
+    from the start, shape (f, TABLE): the attitude, and how a velocity sensor is described. Of a description that is
+    states it is these that are wrong.
+    """
     rows: list[tuple[float, ...]] = []
+    rate = math.log(settings.FAULTS_PER_S)
 
     def add(channel: int, sd: float, *kinds: tuple[int, int], read: int = 0) -> None:
         for k, (kind, place) in enumerate(kinds):
-            rate = math.log(settings.FAULTS_PER_S)
             rows.append((kind, channel, place, sd**2, rate, float(len(kinds)) if not k else 0.0, read))
 
     for i, channel in enumerate(channels):
@@ -50,6 +70,7 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
         if channel.ground:
             for kind in (FLOW_STEP, FLOW_RAMP):
                 add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
+            add(i, SCALE_SD, (SCALE, 0), read=channel.ground)
         if north is not None:
             add(i, settings.ANGLE_SD, (STEP, north))
             add(i, settings.ANGLE_SD, (RAMP, north))
@@ -60,50 +81,66 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> Array:
             add(-1, sd, (STATE, place))
             if axis >= 3:  # what a gyro's does so slowly is a step to the compass
                 add(-1, sd, (DRIFT, place))
-    return np.array(rows).reshape(-1, TABLE)
+    faults, rate = len(rows), math.log(settings.DESCRIBED_WRONGLY)
+    if rows:
+        add(-1, settings.ANGLE_SD, (STATE, 6), (STATE, 7), (STATE, 8))
+    for i, channel in enumerate(channels):
+        if channel.ground and rows and channel.first_of(channels) == i:
+            known = velocity_evidence.description_places(channel)
+            for sd, of in (
+                (settings.ARM_M, (0, 1, 2)),
+                (settings.LATE_S, (3,)),
+                (settings.ANGLE_SD, (4, 5)),
+                (settings.ANGLE_SD, (6,)),
+            ):
+                add(i, sd, *((STATE, known[j]) if j in known else (DESCRIBED, j) for j in of), read=channel.ground)
+    table = np.array(rows).reshape(-1, TABLE)
+    return table[:faults], table[faults:]
 
 
-def room(layout: Layout, channels: Mapping[str, Channel], count: int | None = None) -> tuple[int, int]:
-    """Numbers that a bank remembers, and how many more it works with, for so many signatures, or its own; none where
-    hardly anything may go wrong.
-    """
-    c = len(signatures(layout, list(channels.values()))) if count is None else count
+def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
+    """Numbers that a bank remembers, and how many more it works with; none where hardly anything may go wrong."""
+    c, f = map(len, signatures(layout, list(channels.values())))
     if c < 2:  # so many columns a wide register takes
         return 0, 0
+    columns = WINDOWS * c + f
     # of a transition as many rows as there are states at most
     most = max([layout.size, *(3 * channel.axes + 1 for channel in channels.values())])
-    remembered = kernel.ONSETS + WINDOWS + c * TABLE + WINDOWS * c * (layout.size + 2 + WINDOWS * c)
+    remembered = kernel.ONSETS + WINDOWS + 1 + (c + f) * TABLE + columns * (layout.size + 2 + columns)
     remembered += len(channels) * kernel.HEARD
-    return remembered, most * WINDOWS * c
+    return remembered, most * columns
 
 
 def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float, before: Array | None = None) -> Array:
-    """A bank whose windows all begin now; what innovations have told the one before of error models is not lost."""
-    table = signatures(layout, list(channels.values()))
-    bank = np.zeros(room(layout, channels, len(table))[0])
+    """A bank whose windows all begin now. What innovations have told the one before of error models is not lost, and
+    nothing that begins now is from the start.
+    """
+    faults, from_start = signatures(layout, list(channels.values()))
+    bank = np.zeros(room(layout, channels)[0])
     if not bank.size:
         return bank
-    bank[: kernel.ONSETS] = len(table), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s
+    bank[: kernel.ONSETS] = len(faults), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s, 0.0
+    bank[kernel.BEGUN] = len(from_start)
     heard = parts(bank)[6]
     if before is not None and before.size and before[kernel.CHANNELS] == len(heard):
         heard[:] = parts(before)[6]
     else:
         heard[:, [kernel.SQUARE, kernel.TOLD]] = kernel.DOUBLED, kernel.DOUBTED
-    parts(bank)[1][:] = table
-    for w in range(WINDOWS):
+    parts(bank)[1][:] = np.concatenate([faults, from_start])
+    for w in range(WINDOWS + (before is None)):
         kernel.begin_window(bank, w, time_s)
+    parts(bank)[5][WINDOWS * len(faults) :] = 0.0 if before is None else NEVER
     return bank
 
 
 def parts(bank: Array) -> tuple[Array, ...]:
-    """Onsets (w,), table (c, TABLE), D (n, w c), s (w c,), J (w c, w c), what is on top of the odds (w c,), and what is
-    known of the channels (channels, HEARD), as views.
+    """Onsets (w,), table (c, TABLE), D (n, columns), s (columns,), J (columns, columns), what is on top of the odds
+    (columns,), and what is known of the channels (channels, HEARD), as views.
     """
-    c, n, channels = bank[[kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS]].astype(int).tolist()
-    sizes = WINDOWS, c * TABLE, n * WINDOWS * c, WINDOWS * c, (WINDOWS * c) ** 2, WINDOWS * c, channels * kernel.HEARD
-    ends = [*accumulate(sizes, initial=kernel.ONSETS)]
-    N = WINDOWS * c
-    shapes = (WINDOWS,), (c, TABLE), (n, N), (N,), (N, N), (N,), (channels, kernel.HEARD)
+    c, n, channels, f = bank[[kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS, kernel.BEGUN]].astype(int).tolist()
+    N = WINDOWS * c + f
+    shapes = (WINDOWS + 1,), (c + f, TABLE), (n, N), (N,), (N, N), (N,), (channels, kernel.HEARD)
+    ends = [*accumulate(map(math.prod, shapes), initial=kernel.ONSETS)]
     return tuple(bank[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
 
 
@@ -112,12 +149,16 @@ def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Ch
 
     Where other faults may happen now, because the unit has another number of biases, all windows begin anew.
     """
-    table = signatures(layout, list(channels.values()))
-    if not bank.size or len(table) != bank[kernel.SIGNATURES]:
+    table = np.concatenate(signatures(layout, list(channels.values())))
+    if not bank.size or len(table) != len(parts(bank)[1]):
         return begun(layout, channels, time_s, bank)
-    head, (onsets, _, D, *told) = bank[: kernel.ONSETS].copy(), parts(bank)
+    head, (onsets, before, D, s, J, more, heard) = bank[: kernel.ONSETS].copy(), parts(bank)
     head[kernel.STATES] = layout.size
-    return np.concatenate([part.ravel() for part in (head, onsets, table, M @ D, *told)])
+    # a description that has become states is told by these from now on
+    new = np.flatnonzero((before[:, kernel.KIND] == DESCRIBED) & (table[:, kernel.KIND] == STATE))
+    D, more, at = M @ D, more.copy(), columns(bank, np.full(len(new), WINDOWS), new)
+    D[table[new, kernel.PLACE].astype(int), at], more[at] = 1.0, NEVER
+    return np.concatenate([part.ravel() for part in (head, onsets, table, D, s, J, more, heard)])
 
 
 def problem(bank: Array, fresh: Array) -> str | None:
@@ -126,7 +167,7 @@ def problem(bank: Array, fresh: Array) -> str | None:
     """
     if not bank.size:
         return None
-    head = [kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS]
+    head = [kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS, kernel.BEGUN]
     if not np.array_equal(bank[head], fresh[head]) or not np.array_equal(parts(bank)[1], parts(fresh)[1]):
         return "the bank of faults is not laid out as this vehicle's"  # kernels use what stands there as places
     may_be_infinite = [kernel.LOOKED_S, kernel.ODDS]  # before the first look
@@ -157,11 +198,17 @@ def judge(filter: FilterState) -> Iterator[Action]:
         bank[:] = begun(filter.layout, filter.channels, memory.time_s, bank)
         return
     onsets, table, _, s, J = parts(bank)[:5]
-    begins = np.flatnonzero(table[:, kernel.TOGETHER] > 0.0)
-    odds = np.array([[_judged(bank, w, int(k), memory.time_s)[0] for k in begins] for w in range(WINDOWS)])
-    window = int(np.argmax(odds.max(axis=1)))
-    likely = begins[odds[window] > odds[window].max() - kernel.BELIEVED]
-    chosen = np.concatenate([np.arange(k, k + int(table[k, kernel.TOGETHER])) for k in likely])
+    found = np.array([(_judged(bank, w, k, memory.time_s)[0], w, k) for w, k in hypotheses(bank)])
+    odds, windows, begins = found.T[0], *found.T[1:].astype(int)
+    # what is as likely in the likeliest window, or was wrong from the start, and that since every onset that is as
+    # likely: it began at one of them, which is what is known of its size beforehand
+    likely = odds > odds.max() - kernel.BELIEVED
+    best = windows[np.argmax(np.where(windows < WINDOWS, odds, -math.inf))]
+    there = begins[likely & np.isin(windows, (best, WINDOWS))]
+    likely &= np.isin(begins, there) & np.isin(windows, np.unique(onsets, return_index=True)[1])
+    of, chosen = np.array(
+        [(w, k + j) for w, k in zip(windows[likely], begins[likely], strict=True) for j in range(_size(table, k))]
+    ).T
     other = max(_others(filter), key=lambda one: one.odds, default=None)
     if other is not None and odds.max() < other.odds + kernel.BELIEVED:
         # who knows only the error that there was takes another one for a fault; what it was taken for has led astray
@@ -169,40 +216,58 @@ def judge(filter: FilterState) -> Iterator[Action]:
         yield Correct(np.zeros(len(other.astray)), other.astray)
         yield Adopt(Change(other.channel.name, other.models))
         return
-    grows, age_s = _grows(table[chosen]), max(memory.time_s - onsets[window], 1.0)
-    now = np.where(grows, age_s, 1.0)
-    at = window * len(table) + chosen
-    M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(now**2 / table[chosen, kernel.VARIANCE]))
+    rows, at = table[chosen], columns(bank, of, chosen)
+    now = np.where(_grows(rows), np.maximum(memory.time_s - onsets[of], 1.0), 1.0)
+    before = np.bincount(chosen)[chosen] * now**2 / rows[:, kernel.VARIANCE]
+    M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(before)).astype(np.float64)
     m = M @ s[at]
-    own = {}
-    for i in np.unique(table[chosen, kernel.CHANNEL].astype(int)):
-        if i < 0:
-            continue
-        first, mine = list(filter.channels.values())[i], np.flatnonzero(table[chosen, kernel.CHANNEL] == i)
-        channel = first.predecessor or first
-        for k in mine:
-            own[k] = channel, int(table[chosen[k], kernel.KIND]), int(table[chosen[k], kernel.PLACE])
-        if not all(_state(*own[k]) for k in mine):
-            known, off = now[mine] * np.sqrt(np.diag(M))[mine], now[mine] * np.sqrt(m**2 + np.diag(M))[mine]
-            wanders = float(np.linalg.norm(off[grows[mine]])) / math.sqrt(age_s)
-            of = table[begins, kernel.CHANNEL] == i
-            channel.faults.odds = max(odds[window, of].max() - max(odds[window, ~of].max(), 0.0), 0.0) + kernel.GONE
-            yield Adopt(Change(channel.name, _opened(filter, channel, float(known.max()), wanders), offsets=True))
-        yield Count("jumped")
+    own: dict[int, list[tuple[int, float]]] = {}
+    for i, channel in enumerate(filter.channels.values()):
+        mine = (rows[:, kernel.CHANNEL] == i) & (rows[:, kernel.KIND] != STATE)
+        if mine.any():
+            by_it = table[begins, kernel.CHANNEL] == i
+            more_than_others = max(odds[by_it].max() - max(odds[~by_it].max(), 0.0), 0.0)
+            yield from _opened(filter, channel.predecessor or channel, rows, mine, now, m, M, more_than_others)
+            for k in np.flatnonzero(mine & (rows[:, kernel.KIND] != DESCRIBED)).tolist():
+                own[k] = _state(channel.predecessor or channel, *rows[k, [kernel.KIND, kernel.PLACE]].astype(int))
     bank = memory.monitor.bank
-    D, s, J = parts(bank)[2:5]
+    D, s, J, more = parts(bank)[2:6]
     done = D[:, at]
-    for k, (channel, kind, place) in own.items():
-        done[_state(channel, kind, place), k] += now[k]
+    for k, states in own.items():
+        for state, unit in states:
+            done[state, k] += unit * now[k]
     yield Correct(done @ m, done @ M @ done.T)
-    if -1 in table[chosen, kernel.CHANNEL]:
-        yield Count("shifted")
+    unit = rows[:, kernel.CHANNEL] == -1
+    yield Count("shifted", bool((unit & (of < WINDOWS)).any()))
+    yield Count("realigned", bool((unit & (of == WINDOWS)).any()))
     # of the others is left what these do not explain
     by = M @ J[at]
     D -= done @ by
     s -= J[:, at] @ m
     J -= J[:, at] @ by
-    kernel.begin_window(bank, window, memory.time_s)
+    for w, column in zip(of, at, strict=True):
+        if w == WINDOWS:  # what was wrong from the start is known now
+            kernel.forget(bank, column)
+            more[column] = NEVER
+        elif onsets[w] < memory.time_s:
+            kernel.begin_window(bank, w, memory.time_s)
+
+
+def _size(table: Array, signature: int) -> int:
+    return int(table[signature, kernel.TOGETHER])
+
+
+def columns(bank: Array, windows: Ints, signatures: Ints) -> Ints:
+    """Where signatures in these windows stand."""
+    c = int(bank[kernel.SIGNATURES])
+    return np.where(windows < WINDOWS, windows * c, (WINDOWS - 1) * c) + signatures
+
+
+def hypotheses(bank: Array) -> list[tuple[int, int]]:
+    """Window and first signature of each fault, and of what may be wrong from the start."""
+    table, c = parts(bank)[1], int(bank[kernel.SIGNATURES])
+    begins = [k for k in range(len(table)) if table[k, kernel.TOGETHER] > 0.0]
+    return [(w, k) for w in range(WINDOWS + 1) for k in begins if (k >= c) == (w == WINDOWS)]
 
 
 def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
@@ -221,28 +286,27 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
     y, S, G = channel.note[3 : 3 + a][known], channel.S[:a][np.ix_(known, known)], channel.H[known] @ D
     rare = math.log(settings.FAULTS_PER_S * max(time_s - channel.memory.used_s, channel.period_s))
     own, told = heard[[*filter.channels].index(channel.name)], np.zeros_like(G)
-    for w, onset_s in enumerate(onsets):
-        V = table[:, kernel.VARIANCE] / np.where(_grows(table), max(time_s - onset_s, 1.0), 1.0) ** 2
+    for w, first in hypotheses(bank):
+        of = np.arange(first, first + _size(table, first))
+        at = columns(bank, np.full(len(of), w), of)
+        age_s = max(time_s - onsets[w], 1.0) if _grows(table[of]).any() else 1.0
         larger = own[kernel.BEFORE + w] or kernel.larger(own)
 
         def likely(left: Array, spread: Array, S: Array = larger * S) -> float:
             return float(-0.5 * (left @ np.linalg.solve(S + spread, left) + np.linalg.slogdet(S + spread)[1]))
 
         plain, jumped = likely(y, np.zeros_like(S)), likely(y, settings.JUMP_M**2 * np.eye(len(y))) + rare
-        for k in np.flatnonzero(table[:, kernel.TOGETHER] > 0.0):
-            of = np.arange(k, k + int(table[k, kernel.TOGETHER]))
-            at = w * len(table) + of
-            M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(1.0 / V[of]))
-            by = G[:, at]
-            if likely(y - by @ M @ s[at], by @ M @ by.T) > jumped:
-                told[:, at] = by / math.sqrt(larger)
-                s[at] += by.T @ np.linalg.solve(larger * S, y)
-                more[at[0]] += min(plain - jumped, 0.0)
+        M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(age_s**2 / table[of, kernel.VARIANCE]))
+        by = G[:, at]
+        if likely(y - by @ M @ s[at], by @ M @ by.T) > jumped:
+            told[:, at] = by / math.sqrt(larger)
+            s[at] += by.T @ np.linalg.solve(larger * S, y)
+            more[at[0]] += min(plain - jumped, 0.0)
     J += told.T @ np.linalg.solve(S, told)
 
 
 def _grows(table: Array) -> NDArray[np.bool_]:
-    return np.isin(table[:, kernel.KIND], (RAMP, FLOW_RAMP, DRIFT))
+    return np.isin(table[:, kernel.KIND], GROWING)
 
 
 def suspected(filter: FilterState) -> list[str]:
@@ -250,15 +314,17 @@ def suspected(filter: FilterState) -> list[str]:
     bank = filter.bank
     if not bank.size or not bank[kernel.ODDS] > 0.0:
         return []
-    table, time_s = parts(filter.memory.monitor.bank)[1], float(bank[kernel.LOOKED_S])
+    table, time_s = parts(bank)[1], float(bank[kernel.LOOKED_S])
     names: list[str] = [*filter.channels]
     found: dict[str, float] = {}
-    for k in np.flatnonzero(table[:, kernel.TOGETHER] > 0.0):
-        odds = max(_judged(bank, w, int(k), time_s)[0] for w in range(WINDOWS))
+    for w, k in hypotheses(bank):
         of = int(table[k, kernel.CHANNEL])
         name = "the inertial unit" if of < 0 else names[of]
-        found[name] = max(odds, found.get(name, 0.0))
-    return [f"{name} may err slowly (odds {math.exp(min(o, 20.0)):.2g} to 1)" for name, o in found.items() if o > 0.0]
+        may = "may err slowly"
+        if w == WINDOWS:
+            name, may = ("the attitude of the start" if of < 0 else name), "may be described wrongly"
+        found[f"{name} {may}"] = max(_judged(bank, w, k, time_s)[0], found.get(f"{name} {may}", 0.0))
+    return [f"{what} (odds {math.exp(min(o, 20.0)):.2g} to 1)" for what, o in found.items() if o > 0.0]
 
 
 def _judged(bank: Array, window: int, signature: int, time_s: float) -> Array:
@@ -285,6 +351,7 @@ def _others(filter: FilterState) -> Iterator[_Other]:
     """
     now_s = filter.memory.time_s
     onsets, table, D, s, J, more, _ = parts(filter.memory.monitor.bank)
+    onsets, table = onsets[:WINDOWS], table[: int(filter.bank[kernel.SIGNATURES])]
     for i, channel in enumerate(filter.channels.values()):
         before = channel.sensor.models
         models = changed(before, **UNLEARNT) if any(map(is_learnt, before)) else ()
@@ -311,20 +378,47 @@ def _others(filter: FilterState) -> Iterator[_Other]:
             yield _Other(float(gain + rate + more[at[0]]), channel, models, D[:, at] @ prior @ D[:, at].T)
 
 
-def _opened(filter: FilterState, channel: Channel, size: float, wanders: float) -> tuple[ErrorModel, ...]:
-    """Error models of a sensor with states for what it is off by."""
-    north, models = channel.sensor.observes.north, channel.sensor.models
-    if north is not None:
-        return with_offsets(models, size, density=wanders, only=north, deviates=True)
-    speed = math.hypot(*filter.memory.nav[3:6].tolist())
-    return with_offsets(models, size, max(speed, settings.SLOW), density=wanders)
+def _opened(
+    filter: FilterState, channel: Channel, rows: Array, mine: Array, now: Array, m: Array, M: Array, odds: float
+) -> Iterator[Action]:
+    """Give a sensor states for what it is off by, and for how it is described wrongly.
+
+    rows (k, TABLE): signatures of all that is put in force; mine (k,): which are the sensor's; now (k,): what a unit of
+    each has come to; m (k,), M (k, k): of their sizes; odds: by how much the sensor is likelier wrong than others.
+    """
+    kinds, models = rows[:, kernel.KIND], channel.sensor.models
+    described = np.flatnonzero(mine & (kinds == DESCRIBED))
+    if len(described):
+        wrong = {int(rows[k, kernel.PLACE]): math.sqrt(M[k, k]) for k in described}
+        models = with_description(models, wrong)
+        yield Adopt(Change(channel.name, models, offsets=True))
+        yield Count("arm-or-clock")
+    mine = mine & (kinds != DESCRIBED)
+    faults = [(int(kind), int(place)) for kind, place in np.unique(rows[mine][:, [kernel.KIND, kernel.PLACE]], axis=0)]
+    if faults and not all(_state(channel, *fault) for fault in faults):
+        speed = max(math.hypot(*filter.memory.nav[3:6].tolist()), settings.SLOW)
+        # of each of its states what all onsets together come to
+        sums = np.array([now * mine * (kinds == kind) * (rows[:, kernel.PLACE] == place) for kind, place in faults])
+        sums[[kind == SCALE for kind, _ in faults]] *= speed
+        known, grows = np.einsum("ki,ij,kj->k", sums, M, sums), np.isin([kind for kind, _ in faults], GROWING)
+        density = math.sqrt(float(((sums @ m) ** 2 + known)[grows].sum()) / now[mine].max())
+        channel.faults.odds, size = odds + kernel.GONE, math.sqrt(known.max())
+        north = channel.sensor.observes.north
+        if north is not None:
+            models = with_offsets(models, size, density=density, only=north, deviates=True)
+        else:
+            models = with_offsets(models, size, speed, density=density)
+        yield Adopt(Change(channel.name, models, offsets=True))
+    yield Count("jumped", bool(faults))
 
 
-def _state(channel: Channel, kind: int, place: int) -> list[int]:
-    """Which state is the size of a fault of a sensor; none where it has none such."""
+def _state(channel: Channel, kind: int, place: int) -> list[tuple[int, float]]:
+    """Which state is the size of a fault of a sensor, and what it is per unit; none where it has none such."""
     models, period_s = channel.sensor.models, channel.period_s
     if kind in (FLOW_STEP, FLOW_RAMP):
-        found = [state for state, component in currents(models, period_s) if component == place]
+        found = [(state, 1.0) for state, component in currents(models, period_s) if component == place]
+    elif kind == SCALE:
+        found = proportions(models, period_s)
     else:
-        found = offset_states(models, period_s, place).tolist()[:1]
-    return [channel.group.start + state for state in found]
+        found = [(state, 1.0) for state in offset_states(models, period_s, place).tolist()[:1]]
+    return [(channel.group.start + state, unit) for state, unit in found]

@@ -210,6 +210,8 @@ AGAIN = 0.02
 #: What a velocity may be off by beforehand, as standard deviations: a constant [m/s], a force [m/s^2], a lever
 #: arm [m], a clock [s]. (chosen)
 OFF_M_S, RAMP_M_S2, ARM_M, LATE_S = 0.5, 0.5, 2.0, 1.0
+#: The start, or the description of a sensor, is wrong in so many missions [1]. (chosen)
+DESCRIBED_WRONGLY = 0.1
 #: Log odds of a wrong description against a jump that happens to begin in these ten seconds [nat]: one mission in ten
 #: against once in five hours. (derived)
 JUMP_ODDS = 5.0
@@ -222,8 +224,8 @@ WAY_M = 50.0
 LONG_S = 10.0
 
 # -------------------- velocity fault
-#: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.
-#: (chosen)
+#: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so. That the
+#: sensor is back shows at more than this share of the speed at which it jumped. (chosen)
 VELOCITY_SHARE = 0.5
 #: A reading of less than this share of the jump says nothing of the velocity [1]: it is 0 at any. (chosen)
 SAYS = 0.25
@@ -234,5 +236,3 @@ VELOCITY_SAME = 0.05
 VELOCITY_SLOPE = 2.0
 #: That may come and go within about so long [s]. (chosen)
 WANDERS_S = 60.0
-#: A sensor shows that it is back at more than this share of the speed at which it jumped [1]. (chosen)
-MOVING = 0.5

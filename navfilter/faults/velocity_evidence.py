@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 #: and share of how turns have changed the velocity since the run of refusals began.
 CURRENT, RAMP, SCALED, ARM, CLOCK, TURNED = (slice(a, b) for a, b in ((0, 2), (2, 4), (4, 5), (5, 8), (8, 9), (9, 10)))
 RUN, ALL = 0, 1
+#: Parameters that are components of a description, in their order.
+DESCRIPTION = (*(f"lever_arm_{axis}" for axis in "xyz"), "time_offset", *(f"misalignment_{axis}" for axis in "xyz"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,12 +146,13 @@ def described_wrongly(channel: Channel) -> Array | None:
 
 
 def description_places(channel: Channel) -> dict[int, int]:
-    """Where components of its lever arm (0, 1, 2) and its clock (3) stand in the error state, as far as they do."""
-    sensor, end = channel.sensor, channel.group.start + channel.group.size
-    clock = sensor.time_offset_sd_s > 0.0
-    told = range(3 * (not any(sensor.lever_arm_sd_m)), 3 + clock)
-    found = {c: channel.group.start + at for at, c in descriptions(sensor.models, channel.period_s)}
-    return found | {c: end - len(told) + i for i, c in enumerate(told)}
+    """Where components of how a velocity sensor is described (`navfilter.models.fault_bias.FaultDescription`) stand in
+    the error state, as far as they do.
+    """
+    sensor, start = channel.sensor, channel.group.start
+    found = {component: start + at for at, component in descriptions(sensor.models, channel.period_s)}
+    of = {one.name: start + channel.group.errors + i for i, one in enumerate(sensor.all_parameters()) if one.sd > 0.0}
+    return found | {component: of[name] for component, name in enumerate(DESCRIPTION) if name in of}
 
 
 def of_description(components: Iterable[int]) -> dict[int, float]:

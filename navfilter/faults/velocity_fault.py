@@ -79,7 +79,7 @@ def widened_variances(kept: VelocityFault, z: Array, plain: Array) -> Array:
 
 def shows_itself(kept: VelocityFault, speed: float, off: Array) -> bool:
     """Whether a reading that is `off` the state by so much (axes,) proves that its sensor is back."""
-    return speed > settings.MOVING * kept.speed and _size(off) < _size(off - np.array(kept.jump))
+    return speed > settings.VELOCITY_SHARE * kept.speed and _size(off) < _size(off - np.array(kept.jump))
 
 
 def _size(vector: Array | tuple[float, ...]) -> float:

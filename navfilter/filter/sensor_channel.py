@@ -342,7 +342,7 @@ class Channel:
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         described = has_description(self.sensor.models)
         is_so, partly = (
-            (self.moves, self.turns or described, (self.sensor.observes is Observable.RATE)),
+            (self.moves, self.turns or self.ground > 0, (self.sensor.observes is Observable.RATE)),
             self.partly_for_s < math.inf,
         )
         north = -1 if self.sensor.observes.north is None else self.sensor.observes.north

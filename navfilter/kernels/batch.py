@@ -15,6 +15,7 @@ from navfilter.kernels import (
     noise_scale,
     open_loop_residual,
     strapdown,
+    symmetric,
 )
 from navfilter.kernels.compiling import addresses
 from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped, standing
@@ -171,7 +172,7 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
         limits[0, i] = math.inf
     _corrected(bench, spot, P, nav, x, drv, Cr, C, R, spot[MOVES] != 0 and seen >= 3, flat(limits))
     if spot[BANK]:
-        _note_faults(bench, spot, int(0))
+        _note_faults(bench, spot, nav, math.inf, int(0))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -204,28 +205,11 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
         state, component = int(table[at]), int(table[at + 1])
         for i in range(int(table[at + 2])):
             C[i, state] = -near[i, 3 + component]
-    felt = 0.0
-    by = scratch(np.float64, int(3), 3)  # rate and specific force in n, and what a component adds to the velocity
-    if described:
-        for k in range(3):
-            by[0, k], by[1, k] = 0.0, 0.0
-            for i in range(3):
-                by[0, k] += nav[6 + 3 * k + i] * motion[i]
-                by[1, k] += nav[6 + 3 * k + i] * motion[3 + i]
-        by[1, 2] += strapdown.gravity(nav[0], nav[2])
-        felt = 1.0 if motion[3] != 0.0 or motion[4] != 0.0 or motion[5] != 0.0 else 0.0
+    by = scratch(np.float64, int(3), 3)
     for j in range(described):
         at = 4 + 3 * scaled + 2 * deviating + 3 * flowing + 3 * j
         state, component = int(table[at]), int(table[at + 1])
-        for k in range(3):
-            one, two = (k + 1) % 3, (k + 2) % 3
-            if component < 3:
-                by[2, k] = by[0, one] * nav[6 + 3 * two + component] - by[0, two] * nav[6 + 3 * one + component]
-            elif component > 3:  # an instrument that is turned about an axis of b
-                axis = component - 4
-                by[2, k] = nav[3 + one] * nav[6 + 3 * two + axis] - nav[3 + two] * nav[6 + 3 * one + axis]
-            else:  # a stamp that is late shows the velocity in b before; where no force is felt nobody knows that
-                by[2, k] = (by[0, one] * nav[3 + two] - by[0, two] * nav[3 + one] - by[1, k]) * felt
+        fault_bank.description_slope(component, nav, nav[3:6], motion, by)
         for i in range(int(table[at + 2])):
             C[i, state] = near[i, 3] * by[2, 0] + near[i, 4] * by[2, 1] + near[i, 5] * by[2, 2]
     if north >= 0:
@@ -261,7 +245,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
     timed = spot[SIGHT] != 0 and bench[spot[FACTS] + delayed_state.CLOCK] != 0.0
     # by a clock that is a state the rate is that of then
-    if spot[READS_RATE] or (spot[TURNS] and (not timed or spot[FAULTS])):
+    if spot[READS_RATE] or (spot[TURNS] and (not timed or spot[FAULTS] or spot[BANK])):
         outputs, off = shaped(spare[: 6 * (m - 9)], 6, m - 9), spare[6 * (m - 9) : 6 * (m - 8)]
         delayed_state.drive_outputs(drv, Cr, xd, outputs, off)
         per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
@@ -313,8 +297,10 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         consistency.limit_velocity_slopes(P, near, held, spot[HELD], start + errors, turned)
     moves = spot[MOVES] != 0 and consistency.limit_unread_slopes(P, near, res, start + errors)
     C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
+    band, last = math.inf, places[7] - a
+    if spot[FAULTS] or (spot[BANK] and spot[TURNS]):
+        band = consistency.velocity_band(P, near, int(0), start + errors, turned)
     if spot[FAULTS]:
-        band, last = consistency.velocity_band(P, near, int(0), start + errors, turned), places[7] - a
         shown = bench[spot[FAULTS] :], z, nav, x, motion, start
         fault_states(*shown, spot[NORTH], C, near, res, mem[last : last + a], band)
     if spot[BEND]:
@@ -332,24 +318,29 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         limits = spare[: a + 1]
         for i in range(a + 1):
             limits[i] = -1.0 if i else math.inf
+    # by the reading itself a signature would be drawn to what explains it
+    foretold = flat(scratch(np.float64, int(1), nav.size))
+    symmetric.copy(nav, foretold)
     _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits)
     if spot[BANK]:
         bank = bench[spot[BANK] :]
         fault_bank.carry(bank, shaped(mem[: m * m], m, m), int(0))
         if b > 0:
             fault_bank.carry(bank, shaped(mem[m * m : m * m + b * b], b, b), start)
-        _note_faults(bench, spot, int(1))
+        _note_faults(bench, spot, foretold, band, int(1))
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def _note_faults(bench, spot, counts):
+def _note_faults(bench, spot, nav, band, counts):
     """Show the bank of faults the last reading of a channel; counts: 1 where it is evidence if it was used."""
     a, parameters, mem = spot[0], spot[6], bench[spot[MEM] : spot[CONSTANTS]]
     places = kalman.memory_offsets(spot[:8])
     verdict, near = places[8], shaped(mem[places[7] : places[8]], a, 9 + parameters)
     used, time_s = mem[verdict + 2] != 0.0, mem[verdict + 3 + 2 * a + LAST_S]
-    counted = counts != 0 and used
-    fault_bank.take_reading(bench[spot[BANK] :], mem, spot, places, near, spot[INDEX], time_s, counted, used)
+    counted, motion = counts != 0 and used, bench[spot[RATE] : spot[RATE] + 6]
+    fault_bank.take_reading(
+        bench[spot[BANK] :], mem, spot, places, near, nav, motion, band, spot[INDEX], time_s, counted, used
+    )
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

@@ -9,9 +9,10 @@ an error D of its state along; its innovations then have the mean G = H D + F::
 J is the information that the innovations y have of the size, and s the score. With a prior N(0, V) of the size its
 posterior is N(M s, M), M = (J + V^-1)^-1, and what it adds to the log likelihood is s' M s / 2 - log |I + V J| / 2.
 
-``bank``: the head below, the onsets of the windows, a row of `TABLE` for each signature, then, by window and
-signature, D (states, columns), s (columns,), J (columns, columns), what is on top of the log odds (columns,), and a row
-of `HEARD` for each channel; behind that work space.
+``bank``: the head below, the onsets of the windows, a row of `TABLE` for each signature, D (states, columns), s
+(columns,), J (columns, columns), what is on top of the log odds (columns,), and a row of `HEARD` for each channel;
+behind that work space. Of a fault there is a column for each window in turn; behind these, in the last window, which
+begins with the mission and is never moved on, one for each signature of a wrong start or description.
 
 Innovations whose sums from look to look are larger than white ones' are of an error model that is wrong: they count as
 much less, for a fault is no more than what they would not be without it.
@@ -21,34 +22,38 @@ import math
 
 import numpy as np
 
-from navfilter.kernels import symmetric
+from navfilter.kernels import consistency, strapdown, symmetric
 from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
 from navfilter.kernels.compiling.vectors import less_half, rank2_update, weighted
 
-# Head: signatures, states, channels, looks so far, time of the last look; log odds of the likeliest fault then, and how
-# far faults that nobody has noticed may have moved the position and turned the heading; time of the last reading.
-SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ_S, ONSETS = range(10)
+# Head: signatures of faults, states, channels, looks so far, time of the last look; log odds of the likeliest fault
+# then, and how far faults that nobody has noticed may have moved the position and turned the heading; time of the last
+# reading; signatures of a wrong start or description, which stand behind the others.
+SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ_S, BEGUN, ONSETS = range(11)
 # A signature: how it acts; the channel that it is of (-1: none); an axis of that, north or east, or a state; the
-# variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second, how many
-# signatures are of one fault with it (0: it belongs to the one before), and how many axes read what moves.
+# variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second (of a wrong
+# start or description: in a mission), how many signatures are of one fault with it (0: it belongs to the one before),
+# and how many axes read what moves.
 KIND, CHANNEL, PLACE, VARIANCE, RATE, TOGETHER, READ, TABLE = range(8)
 # How it acts: a constant or a ramp of one axis of a reading; the same of the velocity of what a velocity is read
-# against; a step or a drift of a state of the drive.
-STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT = range(6)
+# against; a step or a drift of a state; a component of how a velocity sensor is described (`description_slope`); a
+# scale of a velocity.
+STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT, DESCRIBED, SCALE = range(8)
 # A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand; and believed to be
 # none where that is so much likelier than the fault: one in twenty. (chosen)
 BELIEVED, GONE = 10.0, 3.0
 # Windows: the onset of each is moved on half as often as that of the one before, the first at every other look, the
-# last after eleven minutes. (chosen)
+# last after eleven minutes. (chosen) The window behind them is the whole mission.
 WINDOWS = 6
 # Of each channel: mean square of the sums of its innovations from look to look, in their sd, and mean product of one
 # with the next; from how many looks these are told; readings since the last look, the sums of their axes, and those
 # before, of so many at most; and how much larger than white ones they were before the onset of each window (0: hardly
-# anything was told).
+# anything was told); and angular rate and specific force at its last reading, and the velocity in b by which slopes go.
 SQUARE, PRODUCT, TOLD, READINGS, SUMS = range(5)
 AXES = 8  # of more the first are summed
 BEFORE = SUMS + 2 * AXES
-HEARD = BEFORE + WINDOWS
+THEN = BEFORE + WINDOWS + 1
+HEARD = THEN + 9
 # Before anything is told an error may be twice as large as described, as by so many looks; it is told by so many looks
 # at most, each of which says no more than so many sds; none is correlated with the next by more than that. (chosen)
 DOUBLED, DOUBTED, MEMORY, MOST, CORRELATED = 4.0, 5.0, 60.0, 10.0, 0.98
@@ -60,22 +65,35 @@ RISK = 1e-3
 
 
 @njit(cache=True, **UNCOUNTED)
+def width(bank):
+    """How many columns there are."""
+    return WINDOWS * int(bank[SIGNATURES]) + int(bank[BEGUN])
+
+
+@njit(cache=True, **UNCOUNTED)
+def signatures_of(bank, window):
+    """The first signature of a window, the one behind its last, and the column of the first."""
+    c = int(bank[SIGNATURES])
+    return (c, c + int(bank[BEGUN]), WINDOWS * c) if window == WINDOWS else (0, c, window * c)
+
+
+@njit(cache=True, **UNCOUNTED)
 def places(bank):
     """Where table, D, s, J, what is on top of the odds, what is known of channels and the work space begin."""
-    c, n = int(bank[SIGNATURES]), int(bank[STATES])
-    table = ONSETS + WINDOWS
-    D = table + c * TABLE
-    s = D + n * WINDOWS * c
-    J = s + WINDOWS * c
-    more = J + (WINDOWS * c) ** 2
-    heard = more + WINDOWS * c
+    c, n, columns = int(bank[SIGNATURES]), int(bank[STATES]), width(bank)
+    table = ONSETS + WINDOWS + 1
+    D = table + (c + int(bank[BEGUN])) * TABLE
+    s = D + n * columns
+    J = s + columns
+    more = J + columns**2
+    heard = more + columns
     return table, D, s, J, more, heard, heard + int(bank[CHANNELS]) * HEARD
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
 def carry(bank, Phi, first):
     """D <- Phi D for the states from `first` on; Phi (k, k)."""
-    columns, m = WINDOWS * int(bank[SIGNATURES]), Phi.shape[0]
+    columns, m = width(bank), Phi.shape[0]
     _, begin, end, _, _, _, room = places(bank)
     D, work = shaped(bank[begin:end], int(bank[STATES]), columns), shaped(bank[room : room + m * columns], m, columns)
     for i in range(m):
@@ -102,26 +120,62 @@ def larger(own):
     return max(own[SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
 
 
+@njit(cache=True, **UNCOUNTED)
+def description_slope(component, nav, velocity, motion, by):
+    """What a component of how a velocity sensor is described adds to the velocity over ground, per unit.
+
+    component: see `navfilter.models.fault_bias.FaultDescription`; velocity (3,): over ground in n; motion (6,): angular
+    rate and specific force in b; by (3, 3): into its last row.
+    """
+    for k in range(3):
+        by[0, k], by[1, k] = 0.0, 0.0
+        for i in range(3):
+            by[0, k] += nav[6 + 3 * k + i] * motion[i]
+            by[1, k] += nav[6 + 3 * k + i] * motion[3 + i]
+    by[1, 2] += strapdown.gravity(nav[0], nav[2])
+    felt = 1.0 if motion[3] != 0.0 or motion[4] != 0.0 or motion[5] != 0.0 else 0.0
+    for k in range(3):
+        one, two = (k + 1) % 3, (k + 2) % 3
+        if component < 3:
+            by[2, k] = by[0, one] * nav[6 + 3 * two + component] - by[0, two] * nav[6 + 3 * one + component]
+        elif component > 3:  # an instrument that is turned about an axis of b
+            axis = component - 4
+            by[2, k] = velocity[one] * nav[6 + 3 * two + axis] - velocity[two] * nav[6 + 3 * one + axis]
+        else:  # a stamp that is late shows the velocity in b before; where no force is felt nobody knows that
+            by[2, k] = (by[0, one] * velocity[two] - by[0, two] * velocity[one] - by[1, k]) * felt
+
+
 @njit(apart=True, cache=True, **UNCOUNTED)
-def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
+def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, counts, used):
     """A reading as the filter left it in its channel's memory.
 
-    dims, at: see `kalman.memory_offsets`; near (a, 9 + parameters): its Jacobian; channel: its place among all; counts:
-    whether its innovation is evidence; used: whether it corrected the state.
+    dims, at: see `kalman.memory_offsets`; near (a, 9 + parameters): its Jacobian; nav: the state as foretold; motion
+    (6,): angular rate and specific force in b; band: see `consistency.velocity_band`; channel: its place among all;
+    counts: whether its innovation is evidence; used: whether it corrected the state.
+
+    A signature is made of what the innovation knows nothing of: it shares samples and what the velocity errs by.
     """
-    a, n, c = dims[0], dims[1], int(bank[SIGNATURES])
-    columns = WINDOWS * c
+    a, n, columns = dims[0], dims[1], width(bank)
     first, begin, score, information, more, heard, room = places(bank)
     own = bank[heard + channel * HEARD :][:HEARD]
-    table, D = shaped(bank[first:begin], c, TABLE), shaped(bank[begin:score], n, columns)
+    table, D = bank[first:begin].reshape((-1, TABLE)), shaped(bank[begin:score], n, columns)
     G = shaped(bank[room : room + a * columns], a, columns)
     Z = shaped(bank[room + a * columns :][: a * columns], a, columns)
     iH, iK, iS, iv = at[0], at[1], at[5], at[8]
+    c = int(bank[SIGNATURES])
     for k in range(c):
         if table[k, KIND] == DRIFT:
             for w in range(WINDOWS):
                 D[int(table[k, PLACE]), w * c + k] += time_s - bank[READ_S]
     bank[READ_S] = time_s
+    by, velocity = scratch(np.float64, int(3), 3), flat(scratch(np.float64, int(1), 3))
+    for j in range(3):
+        felt = nav[6 + j] * nav[3] + nav[9 + j] * nav[4] + nav[12 + j] * nav[5]
+        own[THEN + 6 + j] = consistency.held_slope(felt, own[THEN + 6 + j], band)
+    for j in range(3):
+        velocity[j] = 0.0
+        for k in range(3):
+            velocity[j] += nav[6 + 3 * j + k] * own[THEN + 6 + k]
     for i in range(a):
         row, seen = G[i], not math.isnan(mem[iv + 3 + a + i])
         if not seen:
@@ -129,18 +183,30 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
                 row[k] = 0.0
             continue
         weighted(mem[iH + i * n : iH + (i + 1) * n], D, row)
-        for k in range(c):
+        for k in range(table.shape[0]):
             if table[k, CHANNEL] != channel:
                 continue
             kind, place = int(table[k, KIND]), int(table[k, PLACE])
             unit = 0.0
             if kind in (FLOW_STEP, FLOW_RAMP):
                 unit = -near[i, 3 + place] if i < table[k, READ] else 0.0
-            elif i == place:
+            elif kind == DESCRIBED:
+                if i < table[k, READ]:
+                    description_slope(place, nav, velocity, own[THEN:], by)
+                    unit = near[i, 3] * by[2, 0] + near[i, 4] * by[2, 1] + near[i, 5] * by[2, 2]
+            elif kind == SCALE:
+                for j in range(3 if i < table[k, READ] else 0):
+                    unit += near[i, 3 + j] * velocity[j]
+            elif i == place and kind in (STEP, RAMP):
                 unit = 1.0
+            if k >= c:
+                row[WINDOWS * c + k - c] += unit
+                continue
             for w in range(WINDOWS):
                 aged = kind in (RAMP, FLOW_RAMP)
                 row[w * c + k] += unit * (time_s - bank[ONSETS + w]) if aged else unit
+    for i in range(6):
+        own[THEN + i] = motion[i]
     if counts:
         now, half = larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
         own[READINGS] += 1.0
@@ -148,9 +214,10 @@ def take_reading(bank, mem, dims, at, near, channel, time_s, counts, used):
             weighted(mem[iS + (a + i) * a : iS + (a + i + 1) * a], G, Z[i])
             if i < AXES and not math.isnan(mem[iv + 3 + a + i]):
                 own[SUMS + i] += mem[iv + 3 + i] / math.sqrt(mem[iv + 3 + a + i])
-            for w in range(WINDOWS):
+            for w in range(WINDOWS + 1):
                 share = 1.0 / math.sqrt(own[BEFORE + w] if own[BEFORE + w] > 0.0 else now)
-                for k in range(w * c, w * c + c):
+                begins, ends, column = signatures_of(bank, w)
+                for k in range(column, column + ends - begins):
                     Z[i, k] *= share
                     half[i, k] = -0.5 * share * G[i, k]
                     if not math.isnan(mem[iv + 3 + a + i]):
@@ -187,60 +254,73 @@ def judged(bank, window, k, time_s, out):
     none [nat]; the size of what it has done to the position if it is there, the sd of that along its longest axis [m];
     and the same of the heading [rad]. out (5,).
     """
-    c, n = int(bank[SIGNATURES]), int(bank[STATES])
+    n, columns, (begins, _, column) = int(bank[STATES]), width(bank), signatures_of(bank, window)
     first, begin, score, information, more, _, _ = places(bank)
-    own = first + k * TABLE
-    together, age_s = int(bank[own + TOGETHER]), max(time_s - bank[ONSETS + window], 1.0)
+    own, at, age_s = first + k * TABLE, column + k - begins, max(time_s - bank[ONSETS + window], 1.0)
+    together, J = int(bank[own + TOGETHER]), shaped(bank[information:more], columns, columns)
     # a ramp has come to as much as a step by now, whenever it began
     V = bank[own + VARIANCE] / (age_s**2 if bank[own + KIND] in (RAMP, FLOW_RAMP, DRIFT) else 1.0)
-    at = window * c + k
-    s, J = score + at, information + at * (WINDOWS * c + 1)
-    # M, the covariance of one size or two
-    p, q, r, one, two = bank[J] + 1.0 / V, 0.0, 1.0 / V, bank[s], 0.0
-    if together == 2:
-        q, r, two = bank[J + 1], bank[J + WINDOWS * c + 1] + 1.0 / V, bank[s + 1]
-    whole = p * r - q * q
-    m, u = (r * one - q * two) / whole, (p * two - q * one) / whole
-    out[0] = 0.5 * (one * m + two * u) - 0.5 * math.log(whole * V * V) + bank[own + RATE] + math.log(age_s)
-    out[0] += bank[more + at]
-    D = shaped(bank[begin:score], n, WINDOWS * c)
-    then = at + 1 if together == 2 else at
-    north, east, turned = D[0, at] * m, D[1, at] * m, D[8, at] * m
-    a, b, e = D[0, at] ** 2 * r, D[0, at] * D[1, at] * r, D[1, at] ** 2 * r
-    spread = D[8, at] ** 2 * r
-    if together == 2:
-        north, east, turned = north + D[0, then] * u, east + D[1, then] * u, turned + D[8, then] * u
-        a += D[0, then] ** 2 * p - 2.0 * q * D[0, at] * D[0, then]
-        b += D[0, then] * D[1, then] * p - q * (D[0, at] * D[1, then] + D[0, then] * D[1, at])
-        e += D[1, then] ** 2 * p - 2.0 * q * D[1, at] * D[1, then]
-        spread += D[8, then] ** 2 * p - 2.0 * q * D[8, at] * D[8, then]
-    longest = 0.5 * (a + e) + math.hypot(0.5 * (a - e), b)
-    out[1], out[2] = math.hypot(north, east), math.sqrt(max(longest / whole, 0.0))
-    out[3], out[4] = abs(turned), math.sqrt(max(spread / whole, 0.0))
+    # the inverse of M, the covariance of its sizes, as a product of triangles L L', and L^-1 s
+    L, u, logs, gain = scratch(np.float64, int(3), 3), flat(scratch(np.float64, int(1), 3)), 0.0, 0.0
+    for i in range(together):
+        u[i] = bank[score + at + i]
+        for j in range(i + 1):
+            L[i, j] = J[at + i, at + j] + (1.0 / V if i == j else 0.0)
+            for r in range(j):
+                L[i, j] -= L[i, r] * L[j, r]
+            L[i, j] = math.sqrt(max(L[i, i], 1.0 / V)) if i == j else L[i, j] / L[j, j]
+        for j in range(i):
+            u[i] -= L[i, j] * u[j]
+        u[i] /= L[i, i]
+        logs, gain = logs + math.log(L[i, i] ** 2 * V), gain + u[i] ** 2
+    out[0] = 0.5 * (gain - logs) + bank[own + RATE] + bank[more + at]
+    out[0] += math.log(age_s) if window < WINDOWS else 0.0
+    D = shaped(bank[begin:score], n, columns)
+    # rows of D for north, east and heading times L'^-1: of what it has done, mean by u and covariance by themselves
+    by = scratch(np.float64, int(3), 3)
+    for r in range(3):
+        for i in range(together):
+            by[r, i] = D[8 if r == 2 else r, at + i]
+            for j in range(i):
+                by[r, i] -= L[i, j] * by[r, j]
+            by[r, i] /= L[i, i]
+    north, east, turned, a, b, e, spread = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(together):
+        north, east, turned = north + by[0, i] * u[i], east + by[1, i] * u[i], turned + by[2, i] * u[i]
+        a, b, e = a + by[0, i] ** 2, b + by[0, i] * by[1, i], e + by[1, i] ** 2
+        spread += by[2, i] ** 2
+    out[1], out[2] = math.hypot(north, east), math.sqrt(0.5 * (a + e) + math.hypot(0.5 * (a - e), b))
+    out[3], out[4] = abs(turned), math.sqrt(spread)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
 def begin_window(bank, window, time_s):
     """Faults of a window begin now."""
-    c, n = int(bank[SIGNATURES]), int(bank[STATES])
-    first, begin, score, information, more, heard, _ = places(bank)
+    columns, (begins, ends, column) = width(bank), signatures_of(bank, window)
+    first, begin, _, _, more, heard, _ = places(bank)
     bank[ONSETS + window] = time_s
     for i in range(int(bank[CHANNELS])):
         own = bank[heard + i * HEARD :][:HEARD]
         own[BEFORE + window] = larger(own) if own[TOLD] >= DOUBTED + CONFIRMED else 0.0
-    D = shaped(bank[begin:score], n, WINDOWS * c)
-    for i in range(n):
-        for k in range(c):
-            D[i, window * c + k] = 0.0
-    columns = WINDOWS * c
-    for k in range(c):
-        at = window * c + k
-        bank[score + at], bank[more + at] = 0.0, 0.0
-        for j in range(columns):
-            bank[information + at * columns + j] = 0.0
-            bank[information + j * columns + at] = 0.0
+    for k in range(begins, ends):
+        at = column + k - begins
+        forget(bank, at)
+        bank[more + at] = 0.0
         if bank[first + k * TABLE + KIND] == STATE:
-            D[int(bank[first + k * TABLE + PLACE]), window * c + k] = 1.0
+            bank[begin + int(bank[first + k * TABLE + PLACE]) * columns + at] = 1.0
+
+
+@njit(cache=True, **UNCOUNTED)
+def forget(bank, at):
+    """A column has done nothing to the state, and innovations have told nothing of it."""
+    n, columns = int(bank[STATES]), width(bank)
+    _, begin, score, information, _, _, _ = places(bank)
+    bank[score + at] = 0.0
+    for i in range(n):
+        bank[begin + i * columns + at] = 0.0
+    for j in range(columns):
+        bank[information + at * columns + j] = 0.0
+        bank[information + j * columns + at] = 0.0
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -266,25 +346,26 @@ def look(bank, time_s):
     """Log odds of the likeliest fault. That and what faults that nobody has noticed may have done to position and
     heading stand in the head then; the onset of a window that says nothing is moved on when it is its turn.
     """
-    c, most, turn, out = int(bank[SIGNATURES]), -math.inf, int(bank[LOOKS]), flat(scratch(np.float64, int(1), int(5)))
+    most, turn, out = -math.inf, int(bank[LOOKS]), flat(scratch(np.float64, int(1), int(5)))
     first, heard = places(bank)[0], places(bank)[5]
     for i in range(int(bank[CHANNELS])):
         _told(bank[heard + i * HEARD :][:HEARD])
     bank[RADIUS_M], bank[HEADING_RAD] = 0.0, 0.0
-    for w in range(WINDOWS):
-        best = -math.inf
-        for k in range(c):
+    for w in range(WINDOWS + 1):
+        best, (begins, ends, _) = -math.inf, signatures_of(bank, w)
+        for k in range(begins, ends):
             if bank[first + k * TABLE + TOGETHER] > 0.0:
                 judged(bank, w, k, time_s, out)
                 if out[0] > best:
                     best = out[0]
-                # no further with a fault of this probability than with the risk in all (Rayleigh's distribution)
+                # no further with a fault of this probability than with the risk in all (Rayleigh's distribution); what
+                # is described is not in doubt
                 share = 1.0 / (1.0 + math.exp(-out[0])) / RISK
-                if share > 1.0 and turn >= CONFIRMED:
+                if share > 1.0 and turn >= CONFIRMED and w < WINDOWS:
                     sds = math.sqrt(2.0 * math.log(share))
                     bank[RADIUS_M] = max(bank[RADIUS_M], out[1] + sds * out[2])
                     bank[HEADING_RAD] = max(bank[HEADING_RAD], out[3] + sds * out[4])
-        if turn < CONFIRMED or (turn % 2 ** (w + 1) == 2**w and best < 0.0):
+        if w < WINDOWS and (turn < CONFIRMED or (turn % 2 ** (w + 1) == 2**w and best < 0.0)):
             begin_window(bank, w, time_s)
         if turn >= CONFIRMED and best > most:
             most = best

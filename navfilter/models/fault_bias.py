@@ -96,15 +96,15 @@ class FaultDescription(FaultBias):
     ----------
     component : int
         0, 1, 2: its lever arm forward, to starboard, down [m]; 3: its clock, by which its stamps are late [s];
-        4, 5: its mounting about the forward and the starboard axis [rad].
+        4, 5, 6: its mounting about the forward, the starboard and the downward axis [rad].
     """
 
     component: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.component not in range(6):
-            raise ValueError(f"component must be 0 to 5, found {self.component!r}.")
+        if self.component not in range(7):
+            raise ValueError(f"component must be 0 to 6, found {self.component!r}.")
 
 
 def _has_jumped(part: ErrorModel) -> TypeGuard[FaultBias]:
