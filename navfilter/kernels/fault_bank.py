@@ -153,7 +153,8 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
     (6,): angular rate and specific force in b; band: see `consistency.velocity_band`; channel: its place among all;
     counts: whether its innovation is evidence; used: whether it corrected the state.
 
-    A signature is made of what the innovation knows nothing of: it shares samples and what the velocity errs by.
+    Slopes go by the rate and force of the reading before and by a held velocity. Those of now err as the innovation
+    does, which would then show every scale and clock a little (errors in variables: Fuller, 1987, sec. 1.1).
     """
     a, n, columns = dims[0], dims[1], width(bank)
     first, begin, score, information, more, heard, room = places(bank)
