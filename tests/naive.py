@@ -2350,28 +2350,28 @@ def larger(own):
     return max(own[fault_bank.SQUARE], 1.0) * (1.0 + correlation) / (1.0 - correlation)
 
 
-def description_slope(component, nav, velocity, motion, by):
+def description_slope(component, nav, velocity, motion, output):
     C = nav[6:15].reshape(3, 3)
     rate, force = C @ motion[:3], C @ motion[3:] + np.array([0.0, 0.0, strapdown_kernels.gravity(nav[0], nav[2])])
     if component < 3:
-        by[2] = np.cross(rate, C[:, component])
+        output[:] = np.cross(rate, C[:, component])
     elif component == 3:
-        by[2] = (np.cross(rate, velocity) - force) * bool(motion[3:].any())
+        output[:] = (np.cross(rate, velocity) - force) * bool(motion[3:].any())
     else:
-        by[2] = np.cross(velocity, C[:, component - 4])
+        output[:] = np.cross(velocity, C[:, component - 4])
 
 
 def _slope(table, k, near, nav, velocity, own):
     """What a unit of a signature adds to a reading, but for its age; shape (a,)."""
     kind, _, place, _, _, _, read = table[k]
-    over_ground, by = (np.arange(len(near)) < read) * near[:, 3:6].T, np.zeros((3, 3))
+    over_ground, by = (np.arange(len(near)) < read) * near[:, 3:6].T, np.zeros(3)
     if kind in (fault_bank.FLOW_STEP, fault_bank.FLOW_RAMP):
         return -over_ground[int(place)]
     if kind == fault_bank.SCALE:
         return velocity @ over_ground
     if kind == fault_bank.DESCRIBED:
         description_slope(int(place), nav, velocity, own[fault_bank.THEN : fault_bank.THEN + 6], by)
-        return by[2] @ over_ground
+        return by @ over_ground
     return np.eye(len(near))[int(place)] if kind in (fault_bank.STEP, fault_bank.RAMP) else np.zeros(len(near))
 
 

@@ -2,10 +2,11 @@
 
 No gate sees a fault that grows slowly: the filter follows it, and every reading fits. But all innovations together tell
 it, as a mean that only this fault explains (`navfilter.kernels.fault_bank`). A fault is a signature, such as a constant
-of a compass, a bottom that moves ever faster, a step of a gyro's bias, and an onset. It is put in force when it is
-twenty thousand times likelier than none, and with it all that explain the innovations of the same window nearly as
-well. State and covariance are then conditioned on what the innovations have told of their sizes since
-the onset (Friedland, 1969), and the sensor gets states for what it is off by.
+of a compass, a bottom that moves ever faster, a step of a gyro's bias, and an onset. A start or a description that is
+wrong has none. A fault is put in force when it is twenty thousand times likelier than none, since every onset that is
+as likely, and with it all that explain the innovations of the same window, or from the start on, nearly as well. State
+and covariance are then conditioned on what the innovations have told of their sizes since the onset (Friedland, 1969),
+and the sensor gets states for what it is off by.
 """
 
 from __future__ import annotations
@@ -119,8 +120,8 @@ def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float, before
     bank = np.zeros(room(layout, channels)[0])
     if not bank.size:
         return bank
-    bank[: kernel.ONSETS] = len(faults), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s, 0.0
-    bank[kernel.BEGUN] = len(from_start)
+    head = len(faults), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s, len(from_start)
+    bank[: kernel.ONSETS] = head
     heard = parts(bank)[6]
     if before is not None and before.size and before[kernel.CHANNELS] == len(heard):
         heard[:] = parts(before)[6]

@@ -205,13 +205,13 @@ def fault_states(table, z, nav, x, motion, start, north, C, near, res, held, ban
         state, component = int(table[at]), int(table[at + 1])
         for i in range(int(table[at + 2])):
             C[i, state] = -near[i, 3 + component]
-    by = scratch(np.float64, int(3), 3)
+    slope = flat(scratch(np.float64, int(1), 3))
     for j in range(described):
         at = 4 + 3 * scaled + 2 * deviating + 3 * flowing + 3 * j
         state, component = int(table[at]), int(table[at + 1])
-        fault_bank.description_slope(component, nav, nav[3:6], motion, by)
+        fault_bank.description_slope(component, nav, nav[3:6], motion, slope)
         for i in range(int(table[at + 2])):
-            C[i, state] = near[i, 3] * by[2, 0] + near[i, 4] * by[2, 1] + near[i, 5] * by[2, 2]
+            C[i, state] = near[i, 3] * slope[0] + near[i, 4] * slope[1] + near[i, 5] * slope[2]
     if north >= 0:
         error = 0.0
         for j in range(C.shape[1]):

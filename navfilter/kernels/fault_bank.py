@@ -121,12 +121,13 @@ def larger(own):
 
 
 @njit(cache=True, **UNCOUNTED)
-def description_slope(component, nav, velocity, motion, by):
+def description_slope(component, nav, velocity, motion, output):
     """What a component of how a velocity sensor is described adds to the velocity over ground, per unit.
 
     component: see `navfilter.models.fault_bias.FaultDescription`; velocity (3,): over ground in n; motion (6,): angular
-    rate and specific force in b; by (3, 3): into its last row.
+    rate and specific force in b; output (3,).
     """
+    by = scratch(np.float64, int(2), 3)  # rate and acceleration in n
     for k in range(3):
         by[0, k], by[1, k] = 0.0, 0.0
         for i in range(3):
@@ -137,12 +138,12 @@ def description_slope(component, nav, velocity, motion, by):
     for k in range(3):
         one, two = (k + 1) % 3, (k + 2) % 3
         if component < 3:
-            by[2, k] = by[0, one] * nav[6 + 3 * two + component] - by[0, two] * nav[6 + 3 * one + component]
+            output[k] = by[0, one] * nav[6 + 3 * two + component] - by[0, two] * nav[6 + 3 * one + component]
         elif component > 3:  # an instrument that is turned about an axis of b
             axis = component - 4
-            by[2, k] = velocity[one] * nav[6 + 3 * two + axis] - velocity[two] * nav[6 + 3 * one + axis]
+            output[k] = velocity[one] * nav[6 + 3 * two + axis] - velocity[two] * nav[6 + 3 * one + axis]
         else:  # a stamp that is late shows the velocity in b before; where no force is felt nobody knows that
-            by[2, k] = (by[0, one] * velocity[two] - by[0, two] * velocity[one] - by[1, k]) * felt
+            output[k] = (by[0, one] * velocity[two] - by[0, two] * velocity[one] - by[1, k]) * felt
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -169,7 +170,7 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
             for w in range(WINDOWS):
                 D[int(table[k, PLACE]), w * c + k] += time_s - bank[READ_S]
     bank[READ_S] = time_s
-    by, velocity = scratch(np.float64, int(3), 3), flat(scratch(np.float64, int(1), 3))
+    velocity = flat(scratch(np.float64, int(1), 3))
     for j in range(3):
         felt = nav[6 + j] * nav[3] + nav[9 + j] * nav[4] + nav[12 + j] * nav[5]
         own[THEN + 6 + j] = consistency.held_slope(felt, own[THEN + 6 + j], band)
@@ -177,6 +178,15 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
         velocity[j] = 0.0
         for k in range(3):
             velocity[j] += nav[6 + 3 * j + k] * own[THEN + 6 + k]
+    # what a unit of each of its signatures adds to the velocity over ground
+    slopes = scratch(np.float64, table.shape[0], 3)
+    for k in range(table.shape[0]):
+        kind, place = int(table[k, KIND]), int(table[k, PLACE])
+        if table[k, CHANNEL] == channel:
+            for j in range(3):
+                slopes[k, j] = velocity[j] if kind == SCALE else -1.0 if j == place else 0.0
+            if kind == DESCRIBED:
+                description_slope(place, nav, velocity, own[THEN:], slopes[k])
     for i in range(a):
         row, seen = G[i], not math.isnan(mem[iv + 3 + a + i])
         if not seen:
@@ -189,17 +199,10 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
                 continue
             kind, place = int(table[k, KIND]), int(table[k, PLACE])
             unit = 0.0
-            if kind in (FLOW_STEP, FLOW_RAMP):
-                unit = -near[i, 3 + place] if i < table[k, READ] else 0.0
-            elif kind == DESCRIBED:
-                if i < table[k, READ]:
-                    description_slope(place, nav, velocity, own[THEN:], by)
-                    unit = near[i, 3] * by[2, 0] + near[i, 4] * by[2, 1] + near[i, 5] * by[2, 2]
-            elif kind == SCALE:
-                for j in range(3 if i < table[k, READ] else 0):
-                    unit += near[i, 3 + j] * velocity[j]
-            elif i == place and kind in (STEP, RAMP):
-                unit = 1.0
+            if kind in (STEP, RAMP):
+                unit = 1.0 if i == place else 0.0
+            elif kind != STATE and i < table[k, READ]:
+                unit = near[i, 3] * slopes[k, 0] + near[i, 4] * slopes[k, 1] + near[i, 5] * slopes[k, 2]
             if k >= c:
                 row[WINDOWS * c + k - c] += unit
                 continue
