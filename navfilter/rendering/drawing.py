@@ -133,8 +133,16 @@ def svg(figure: Figure) -> bytes:
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     # matplotlib writes six digits, a line for each point, and the indentation of a book: half the size of a report.
     text = re.sub(rb"<!--.*?-->|<metadata>.*?</metadata>", b"", buffer.getvalue(), flags=re.DOTALL)
-    text = re.sub(rb"\s+", b" ", text).replace(b"> <", b"><")
+    text = re.sub(rb'<g id="[^"]*"', b"<g", re.sub(rb"\s+", b" ", text).replace(b"> <", b"><"))
+    for k, name in enumerate(re.findall(rb' id="([mp][0-9a-f]{10})"', text)):
+        text = text.replace(name, b"m%d" % k)
+    # A style that many marks share stands once, about them.
+    text = re.sub(rb'<use [^>]*( style="[^"]*")/>(?:<use [^>]*\1/>)+', _of_one_style, text)
     return re.sub(rb' (?:d|x|y)="[^"]*"', _shortened, text)
+
+
+def _of_one_style(found: re.Match[bytes]) -> bytes:
+    return b"<g%b>%b</g>" % (found[1], found[0].replace(found[1], b""))
 
 
 def _shortened(found: re.Match[bytes]) -> bytes:
@@ -153,6 +161,9 @@ def _shortened(found: re.Match[bytes]) -> bytes:
             continue
         new_x, new_y = round(10.0 * float(right)), round(10.0 * float(down))
         ahead = (new_x, new_y) if letter == b"M" else (new_x - x, new_y - y)
-        steps.append(f"{'M' if letter == b'M' else 'l'}{ahead[0] / 10:g} {ahead[1] / 10:g}")
+        if letter == b"M" or all(ahead):
+            steps.append(f"{'M' if letter == b'M' else 'l'}{ahead[0] / 10:g} {ahead[1] / 10:g}")
+        else:
+            steps.append(f"{'v' if ahead[1] else 'h'}{sum(ahead) / 10:g}")
         x, y = new_x, new_y
-    return f' d="{"".join(steps)}"'.encode().replace(b" -", b"-")
+    return re.sub(rb"(?<!\d)0\.", b".", f' d="{"".join(steps)}"'.encode()).replace(b" -", b"-")
