@@ -1,9 +1,10 @@
 """Faults that are drawn at random, in vehicles that are drawn at random, against the same run without the fault.
 
 Every case is a vehicle of `honest_random.py`, with a unit or by dead reckoning, and one fault, or two, of one of its
-sensors or of the drive: constants, drifts, scales, signs, axes exchanged, noise, spikes, values that are held, zero or
-missing, silence, other clocks, lags, late and repeated readings; of a size, at a time and for so long as are drawn, or
-for good. Scored are two minutes after the fault has ended (of one for good: begun) until the end of the mission, once
+sensors or of the drive: constants, drifts, scales, signs, axes exchanged or turned, soft saturation, ramps that stay
+where they have come to, a bottom that moves, ever faster or not, noise, spikes, values that are held, zero or missing,
+silence, other clocks, lags, late and repeated readings; of a size, at a time and for so long as are drawn, or for good.
+Scored are two minutes after the fault has ended (of one for good: begun) until the end of the mission, once
 a second, live. A case is odd that raises an exception or says NaN, leaves the state lost (NEES above `LOST`, and ten
 times that without the fault), never uses the sensor again although it is good again, or says nothing and is off.
 """
@@ -22,10 +23,12 @@ from feeding import DRIVE, Event, Events, events_of
 from harness import DEG, Array, Options, Table, flag, main, quick
 from honest_random import Case
 from random_vehicles import Random, between, chance
+from scipy.spatial.transform import Rotation
 
 import navfilter as nf
 from navfilter.models.health import CALM
 from navfilter.models.mission import Mission, Stream
+from navfilter.models.state import matrix_from_euler
 
 #: Scored from so long after the fault on [s].
 SETTLED_S = 120.0
@@ -46,6 +49,7 @@ class Part(NamedTuple):
     sensor: str
     columns: tuple[int, ...]
     sd: Array
+    along: Array | None = None  # of a velocity over ground: directions of its components in b
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class Drawn:
     begin_s: float
     end_s: float
     seed: int
+    truth: Stream
 
     @property
     def words(self) -> str:
@@ -82,7 +87,7 @@ def parts(vehicle: nf.Vehicle) -> list[Part]:
         found += [Part("gyro", DRIVE, (0, 1, 2), np.full(3, 2e-3)), Part("accel", DRIVE, (3, 4, 5), np.full(3, 0.02))]
     else:
         found += [Part("tilt", DRIVE, (0, 1), np.full(2, 0.5 * DEG)), Part("heading", DRIVE, (2,), np.full(1, DEG))]
-        found += [Part("velocity", DRIVE, (3, 4, 5), np.full(3, 0.02))]
+        found += [Part("velocity", DRIVE, (3, 4, 5), np.full(3, 0.02), np.eye(3))]
     for name, sensor in vehicle.sensors.items():
         if sensor.from_drive:
             continue
@@ -92,8 +97,11 @@ def parts(vehicle: nf.Vehicle) -> list[Part]:
             sd = sd / np.array([RADIUS_M, RADIUS_M, 1.0])[:a]
         if isinstance(sensor, nf.Heading) and sensor.magnetometer:
             sd = np.full(3, 30.0 * sd[0])  # of a field of some 30 microtesla
-        width = min(len(sd), sensor.reads)
-        found.append(Part(name, name, tuple(range(width)), sd[:width]))
+        width, along = min(len(sd), sensor.reads), None
+        if isinstance(sensor, nf.BodyVelocity | nf.DvlBeams):
+            instrument = sensor.beams() if isinstance(sensor, nf.DvlBeams) else np.eye(3)
+            along = (instrument @ matrix_from_euler(*sensor.mounting_rad).T)[:width]
+        found.append(Part(name, name, tuple(range(width)), sd[:width], along))
     return found
 
 
@@ -128,6 +136,45 @@ def constant(fault: Drawn, r: Random) -> Change:
 def drift(fault: Drawn, r: Random) -> Change:
     rate = fault.size * way(fault, r) / 60.0
     return lambda v, age_s: v + rate * age_s
+
+
+def ramp(fault: Drawn, r: Random) -> Change:
+    rate, until_s = fault.size * way(fault, r) / 60.0, between(r, 5.0, 100.0)
+    return lambda v, age_s: v + rate * min(age_s, until_s)
+
+
+def turned(fault: Drawn, r: Random) -> Change:
+    axis = r.normal(size=3)
+    C = np.asarray(Rotation.from_rotvec(fault.size * DEG * axis / np.linalg.norm(axis)).as_matrix())
+    return lambda v, age_s: C @ v
+
+
+def saturation(events: Events, fault: Drawn, r: Random) -> Events:
+    """Softly, at a share of the largest value that it ever has."""
+    columns = list(fault.part.columns)
+    most = fault.size * max(abs(e.value[k]) for e in events if e.sensor == fault.part.sensor for k in columns)
+    return altered(lambda *_: lambda v, age_s: most * np.tanh(v / most))(events, fault, r)
+
+
+def bottom(accelerates: bool) -> Callable[[Events, Drawn, Random], Events]:
+    """What a velocity is read against moves, in a direction of n; up to twice that speed if it accelerates."""
+
+    def events_with(events: Events, fault: Drawn, r: Random) -> Events:
+        assert fault.part.along is not None
+        course, grows_s, result = float(r.uniform(0.0, 2.0 * math.pi)), between(r, 20.0, 600.0), []
+        for e in events:
+            if fault.hits(e):
+                speed = fault.size * (min((e.true_s - fault.begin_s) / grows_s, 2.0) if accelerates else 1.0)
+                flow = speed * np.array([math.cos(course), math.sin(course), 0.0])
+                value = np.array(e.value)
+                value[list(fault.part.columns)] -= (
+                    fault.part.along @ watched.truth_at(fault.truth, e.true_s).C_nb.T @ flow
+                )
+                e = e._replace(value=tuple(value.tolist()))
+            result.append(e)
+        return result
+
+    return events_with
 
 
 def held(fault: Drawn, r: Random) -> Change:
@@ -214,6 +261,11 @@ KINDS: dict[str, Callable[[Events, Drawn, Random], Events]] = {
     "lag": lag,
     "late": late,
     "repeated": repeated,
+    "ramp, then constant": altered(ramp),
+    "turned": altered(turned),
+    "saturation": saturation,
+    "bottom": bottom(False),
+    "bottom that accelerates": bottom(True),
 }
 #: Sizes, of all orders of magnitude alike; the others have none.
 SIZES = {
@@ -226,21 +278,27 @@ SIZES = {
     "lag": (0.2, 5.0),
     "late": (0.1, 5.0),
     "repeated": (0.02, 2.0),
+    "ramp, then constant": (3.0, 300.0),
+    "turned": (2.0, 90.0),
+    "saturation": (0.1, 1.0),
+    "bottom": (0.05, 1.0),
+    "bottom that accelerates": (0.05, 1.0),
 }
 
 
-def drawn(r: Random, vehicle: nf.Vehicle, duration_s: float) -> list[Drawn]:
+def drawn(r: Random, vehicle: nf.Vehicle, truth: Stream, duration_s: float) -> list[Drawn]:
     """One fault, or two."""
-    found = []
+    found, of_three = [], ("exchanged", "one missing", "turned")
     for _ in range(2 if chance(r, 0.25) else 1):
         part = parts(vehicle)[int(r.integers(len(parts(vehicle))))]
-        kinds = [k for k in KINDS if k not in ("exchanged", "one missing") or len(part.columns) == 3]
+        kinds = [k for k in KINDS if k not in of_three or len(part.columns) == 3]
+        kinds = [k for k in kinds if not k.startswith("bottom") or part.along is not None]
         kind = str(r.choice(kinds))
         size = between(r, *SIZES[kind]) if kind in SIZES else 1.0
         size *= -1.0 if kind in ("scale", "clock") and chance(r, 0.5) else 1.0
         begin_s = float(r.uniform(0.15, 0.5)) * duration_s
         lasts_s = math.inf if chance(r, 0.2) else min(between(r, 3.0, 200.0), 0.25 * duration_s)
-        found.append(Drawn(part, kind, size, begin_s, begin_s + lasts_s, int(r.integers(1 << 30))))
+        found.append(Drawn(part, kind, size, begin_s, begin_s + lasts_s, int(r.integers(1 << 30)), truth))
     return found
 
 
@@ -311,9 +369,9 @@ def figures(number: int, options: Options) -> dict[str, Any]:
     """The row of a case."""
     case = Case.of(number, options.drive)
     mission = case.mission(10 * number)
-    assert mission.start is not None
+    assert mission.start is not None and mission.truth is not None
     r = np.random.default_rng([number, 3])
-    found = drawn(r, case.vehicle, case.duration_s)
+    found = drawn(r, case.vehicle, mission.truth, case.duration_s)
     plain = [e for e in events_of(case.vehicle, mission) if e.true_s >= mission.start.time_s - 1e-9]
     events = plain
     for fault in found:
