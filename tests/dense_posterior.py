@@ -56,7 +56,7 @@ class Capture:
         self.twins = {name: getattr(naive, name) for name in self.PARTS}
         for name in self.PARTS:
             monkeypatch.setattr(naive, name, getattr(self, name))
-        for name in ("consider_lever_arm", "consider_hidden"):
+        for name in ("consider_lever_arm", "consider_hidden", "consider_unit"):
             monkeypatch.setattr(naive, name, self._considering(getattr(naive, name)))
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)

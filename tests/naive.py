@@ -1856,10 +1856,34 @@ def consider_lever_arm(P, x, near, kept, own, at, drv, Cr, untold):
         consider(P, x, kept, at, untold)
 
 
-def consider_hidden(P, x, H, K, kept, at, untold):
+def _hidden(P, H, K, kept, at, untold):
     before = np.diag(kept[1:, at - min(at, len(P) - kept.shape[1]) :])
     untold[:] = before - np.diag(P)[at:][: len(untold)] < 100.0 * np.trace(H @ K) * before**2
+
+
+def consider_hidden(P, x, H, K, kept, at, untold):
+    _hidden(P, H, K, kept, at, untold)
     consider(P, x, kept, at, untold)
+
+
+def consider_unit(P, x, H, K, kept, at, untold, drv, Cr):
+    after, told, k = P.copy(), x.copy(), len(untold)
+    _hidden(P, H, K, kept, at, untold)
+    consider(P, x, kept, at, untold)
+    these, move = np.flatnonzero(untold), np.zeros((len(P), k))
+    per = drv[strapdown_kernels.PERIOD_S] if drv[strapdown_kernels.INCREMENTS] else 1.0
+    for i in these:
+        element = int(drv[strapdown_kernels.ELEMENTS + i])
+        C = Cr[element // 3, : Cr.shape[1] - 1 - k]
+        by, own = element // 9 * 3 + element % 3, np.argmax(C**2 * np.diag(after)[9:][: len(C)])
+        if C[own]:
+            move[9 + own, i] = drv[strapdown_kernels.PREVIOUS + by] / per / C[own]
+    given = kept[1:, at - min(at, len(P) - kept.shape[1]) :][:, :k] - after[at : at + k, at : at + k]
+    given = given * np.outer(untold, untold)
+    x += move[9:] @ (untold * (told[at - 9 :][:k] - kept[0, :k]))
+    P += move @ given @ move.T
+    P[:, at : at + k] -= move @ given
+    P[at : at + k] -= given @ move.T
 
 
 def acceleration_covariance(P, nav, drv, Cr, pushes, work):
@@ -2195,7 +2219,7 @@ def correct_and_turn(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
         if spot[32]:
             where, count = start + errors + held_from, held_to - held_from
             consider_hidden(P, x, H, K, kept(where, count), where, np.empty(count))
-        consider_hidden(P, x, H, K, kept(m - elements, elements), m - elements, np.empty(elements))
+        consider_unit(P, x, H, K, kept(m - elements, elements), m - elements, np.empty(elements), drv, Cr)
 
 
 IN_HAND = {
@@ -2384,7 +2408,7 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
     own, C = heard[channel], nav[6:15].reshape(3, 3)
     held = own[fault_bank.THEN + 6 : fault_bank.THEN + 9]
     new = C.T @ nav[3:6]
-    held[:] = np.where(np.abs(new - held) <= band, held + consistency.FOLLOWED * (new - held), new)
+    held[:] = held_slope(new, held, band)
     G = np.zeros((a, width(bank)))
     for window, k in _each(bank):
         kind, of, place = table[k, :3]
@@ -2394,7 +2418,9 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
         F = _slope(table, k, near, nav, C @ held, own) if of == channel else np.zeros(a)
         aged = kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP)
         G[:, column] = np.where(seen, H @ D[:, column] + F * (time_s - onsets[window] if aged else 1.0), 0.0)
-    bank[fault_bank.READ_S], own[fault_bank.THEN : fault_bank.THEN + 6] = time_s, motion
+    bank[fault_bank.READ_S] = time_s
+    known = consistency.HELD * bank[fault_bank.RATE_SD] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    own[fault_bank.THEN : fault_bank.THEN + 6] = held_slope(motion, own[fault_bank.THEN : fault_bank.THEN + 6], known)
     if counts:
         sd, before = np.sqrt(mem[at[8] + 3 + a : at[8] + 3 + 2 * a]), own[fault_bank.BEFORE :]
         share = [1.0 / math.sqrt(before[w] if before[w] > 0.0 else larger(own)) for w, _ in _each(bank)]
@@ -2402,13 +2428,22 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
         few = np.arange(min(a, fault_bank.AXES))
         own[fault_bank.SUMS + few] += np.where(seen, y / sd, 0.0)[few]
         s += np.square(share) * (G[seen].T @ inverse[np.ix_(seen, seen)] @ y[seen])
-        J += np.outer(share, share) * (G.T @ inverse @ G)
+        rows, column = np.indices(J.shape)
+        J += np.outer(share, share) * (G.T @ inverse @ G) * (rows >= column // 8 * 8)
     if used:
         turn = mem[at[4] : at[5]]
         D -= K @ G
         D[6:9] += skew(np.array([0.0, 0.0, turn[0]])) @ D[6:9] / 2
         D[3:6] -= skew(turn[1:4]) @ D[6:9]
         D[6:9] += skew(np.r_[turn[4:6], 0.0]) @ D[6:9] / 2
+
+
+def explained(J, s, variance, L, u):
+    k = len(s)
+    J = J[:k, :k] + np.eye(k) / variance
+    L[:k, :k] = np.linalg.cholesky(J)
+    u[:k] = np.linalg.solve(L[:k, :k], s)
+    return 0.5 * s @ np.linalg.solve(J, s) - 0.5 * np.linalg.slogdet(J * variance)[1]
 
 
 def judged(bank, window, k, time_s, out):
@@ -2419,7 +2454,10 @@ def judged(bank, window, k, time_s, out):
     own = _column(bank, window, k) + np.arange(int(together))
     M = np.linalg.inv(J[np.ix_(own, own)] + np.eye(len(own)) / V)
     m = M @ s[own]
-    out[0] = 0.5 * s[own] @ m + 0.5 * np.linalg.slogdet(M / V)[1] + rate + more[own[0]]
+    L, u = np.zeros((2, 3, 3))
+    out[0] = explained(J[np.ix_(own, own)], s[own], V, L, u[0]) + rate + more[own[0]]
+    if kind == fault_bank.DESCRIBED:
+        out[0] -= explained(J[np.ix_(own, own)], s[own], V * fault_bank.RIGHT**2, L, u[0])
     out[0] += np.log(age) if window < fault_bank.WINDOWS else 0.0
     place, heading = D[:2, own], D[8:9, own]
     out[1], out[3] = np.linalg.norm(place @ m), np.linalg.norm(heading @ m)

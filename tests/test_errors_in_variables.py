@@ -167,6 +167,39 @@ def test_constants_are_only_considered_where_they_are_hidden_by_the_error_of_the
     considered(ours, before, x, H, K, res, [12, 14])
 
 
+def test_biases_are_told_what_scales_beside_them_are_not():
+    """A gain that leaves scales alone and lets the bias of their axis do what they would have done to the last sample:
+    what both do together is corrected as it was.
+    """
+    rng = np.random.default_rng(5)
+    drv, Cr, root = np.zeros(200), np.zeros((6, 6)), 0.1 * rng.normal(size=(15, 15))
+    # two biases of the first gyro, the larger of which counts, and one of the last accelerometer
+    Cr[0, 0], Cr[0, 1], Cr[5, 2], untold = 1.0, 0.5, 1.0, [12, 13]
+    strapdown = delayed_state.strapdown
+    drv[strapdown.CALIBRATED], drv[strapdown.ELEMENTS : strapdown.ELEMENTS + 2] = 2, (0, 17)
+    drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = 0.2, 0.1, -0.3, 0.5, 0.4, -9.8
+    before, x, H, res = (
+        root @ root.T + 1e-3 * np.eye(15),
+        rng.normal(size=6),
+        rng.normal(size=(2, 15)),
+        rng.normal(size=2),
+    )
+    before[10, 10] += 10.0
+    K = before @ H.T @ np.linalg.inv(H @ before @ H.T + np.eye(2))
+    P, after, kept = (np.eye(15) - K @ H) @ before, x + (K @ res)[9:], np.zeros((3, delayed_state.register_room(2)))
+    P = 0.5 * (P + P.T)
+    noted, _ = run_both(consistency.store_constants, before, x, 12, kept)
+    ours, twins = run_both(consistency.consider_unit, P, after, H, K, noted[3], 12, np.empty(2), drv, Cr)
+    assert_close(ours[:2], twins[:2], 1e-12)
+    G = K.copy()
+    G[untold] = 0.0
+    G[10] += 0.2 * K[12] / 0.5
+    G[11] -= 9.8 * K[13]
+    left = np.eye(15) - G @ H
+    np.testing.assert_allclose(ours[0], left @ before @ left.T + G @ G.T, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(ours[1], x + (G @ res)[9:], rtol=0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("inertial", [1.0, 0.0])
 def test_an_acceleration_is_known_as_well_as_tilt_and_bias_together(inertial):
     rng = np.random.default_rng(4)
@@ -260,6 +293,7 @@ def test_scales_and_misalignments_of_a_micromechanical_unit_are_honest():
             vehicle, lawnmower(1500.0), seed=seed, duration_s=1500.0, faults={"gps": Faults(available="surface")}
         )
         track, truth = nf.replay(vehicle, mission, output_rate_hz=0.2), []
+        assert not track.counts["shifted"]  # twice a mission where biases are not told what scales are not
         for what in ("gyro: scales", "gyro: axes", "accel: scales", "accel: axes"):
             note = next(note for note in mission.notes if note.startswith(f"{what} error "))
             truth += [float(number) for number in note.split(" error ")[1].split()]

@@ -72,9 +72,12 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> tuple[Array, Arra
             for kind in (FLOW_STEP, FLOW_RAMP):
                 add(i, settings.FLOW_SD, (kind, 0), (kind, 1), read=channel.ground)
             add(i, SCALE_SD, (SCALE, 0), read=channel.ground)
-        if north is not None:
-            add(i, settings.ANGLE_SD, (STEP, north))
-            add(i, settings.ANGLE_SD, (RAMP, north))
+        if channel.sensor.observes is not Observable.FIX:
+            for axis in range(channel.ground or channel.axes) if north is None else (north,):
+                sd = settings.BIAS_SDS * math.sqrt(channel.sensor.mean_variance(axis, 1))
+                sd = sd if north is None else settings.ANGLE_SD
+                for kind in (STEP, RAMP) if sd > 0.0 else ():
+                    add(i, sd, (kind, axis))
     drive = layout.drive
     for axis, states in enumerate(drive.biases):
         for state in states[:1]:
@@ -121,7 +124,7 @@ def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float, before
     if not bank.size:
         return bank
     head = len(faults), layout.size, len(channels), 0.0, -math.inf, -math.inf, 0.0, 0.0, time_s, len(from_start)
-    bank[: kernel.ONSETS] = head
+    bank[: kernel.ONSETS] = *head, _rate_sd(layout)
     heard = parts(bank)[6]
     if before is not None and before.size and before[kernel.CHANNELS] == len(heard):
         heard[:] = parts(before)[6]
@@ -132,6 +135,11 @@ def begun(layout: Layout, channels: Mapping[str, Channel], time_s: float, before
         kernel.begin_window(bank, w, time_s)
     parts(bank)[5][WINDOWS * len(faults) :] = 0.0 if before is None else NEVER
     return bank
+
+
+def _rate_sd(layout: Layout) -> float:
+    """Of the white noise of an angular rate, of the noisiest gyro [rad/s]."""
+    return math.sqrt(layout.drive.r[:3].max())
 
 
 def parts(bank: Array) -> tuple[Array, ...]:
@@ -145,6 +153,12 @@ def parts(bank: Array) -> tuple[Array, ...]:
     return tuple(bank[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
 
 
+def whole(J: Array) -> Array:
+    """The information whose upper triangle the recursion leaves out."""
+    lower = np.tril(J)
+    return lower + np.tril(lower, -1).T
+
+
 def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Channel], time_s: float) -> Array:
     """The bank of a filter whose error states have become M times what they were; shape (n_after, n_before).
 
@@ -154,7 +168,7 @@ def transformed(bank: Array, M: Array, layout: Layout, channels: Mapping[str, Ch
     if not bank.size or len(table) != len(parts(bank)[1]):
         return begun(layout, channels, time_s, bank)
     head, (onsets, before, D, s, J, more, heard) = bank[: kernel.ONSETS].copy(), parts(bank)
-    head[kernel.STATES] = layout.size
+    head[[kernel.STATES, kernel.RATE_SD]] = layout.size, _rate_sd(layout)
     # a description that has become states is told by these from now on
     new = np.flatnonzero((before[:, kernel.KIND] == DESCRIBED) & (table[:, kernel.KIND] == STATE))
     D, more, at = M @ D, more.copy(), columns(bank, np.full(len(new), WINDOWS), new)
@@ -168,7 +182,7 @@ def problem(bank: Array, fresh: Array) -> str | None:
     """
     if not bank.size:
         return None
-    head = [kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS, kernel.BEGUN]
+    head = [kernel.SIGNATURES, kernel.STATES, kernel.CHANNELS, kernel.BEGUN, kernel.RATE_SD]
     if not np.array_equal(bank[head], fresh[head]) or not np.array_equal(parts(bank)[1], parts(fresh)[1]):
         return "the bank of faults is not laid out as this vehicle's"  # kernels use what stands there as places
     may_be_infinite = [kernel.LOOKED_S, kernel.ODDS]  # before the first look
@@ -199,6 +213,7 @@ def judge(filter: FilterState) -> Iterator[Action]:
         bank[:] = begun(filter.layout, filter.channels, memory.time_s, bank)
         return
     onsets, table, _, s, J = parts(bank)[:5]
+    J[:] = whole(J)
     found = np.array([(_judged(bank, w, k, memory.time_s)[0], w, k) for w, k in hypotheses(bank)])
     odds, windows, begins = found.T[0], *found.T[1:].astype(int)
     # what is as likely in the likeliest window, or was wrong from the start, and that since every onset that is as
@@ -283,6 +298,7 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
     if not bank.size or channel.sensor.observes is not Observable.FIX:
         return
     onsets, table, D, s, J, more, heard = parts(bank)
+    J[:] = whole(J)
     a, known = channel.axes, np.isfinite(channel.note[3 + channel.axes :])
     y, S, G = channel.note[3 : 3 + a][known], channel.S[:a][np.ix_(known, known)], channel.H[known] @ D
     rare = math.log(settings.FAULTS_PER_S * max(time_s - channel.memory.used_s, channel.period_s))
@@ -408,7 +424,7 @@ def _opened(
         if north is not None:
             models = with_offsets(models, size, density=density, only=north, deviates=True)
         else:
-            models = with_offsets(models, size, speed, density=density)
+            models = with_offsets(models, size, speed if channel.moves else 0.0, density=density)
         yield Adopt(Change(channel.name, models, offsets=True))
     yield Count("jumped", bool(faults))
 

@@ -275,7 +275,7 @@ class LaneChoice:
         moved, first = self._moved(lane)
         for i, mine in enumerate(self.memory.away[lane]):
             lasted_s = mine[UNTIL] - mine[SINCE]
-            if lasted_s >= settings.AWAY_S and self.compared_s - mine[UNTIL] < settings.STALE_S and follows[i]:
+            if lasted_s >= settings.AWAY_S and self.compared_s - mine[UNTIL] < settings.COUNTS_S and follows[i]:
                 may = settings.AWAY_SD * self._force_sd * math.sqrt(lasted_s)
                 if moved[i] > max(may, first[i], settings.LEADS * mine[LARGEST]):
                     found[self._velocity[i]] = moved[i]

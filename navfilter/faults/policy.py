@@ -216,7 +216,7 @@ def _state_contradicted(filter: FilterState, channel: Channel, reading: Rejected
 
 def _reopen_known_fault(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
     """A sensor that has a constant already: after its time-out it is opened again."""
-    if not channel.offset:
+    if not channel.offset or channel.sensor.observes not in sensor_bias.JUDGED:
         return None
     overdue = reading.time_s - channel.faults.rejected_since_s >= channel.sensor.gate_timeout_s
     if channel.faults.aside is None and overdue:

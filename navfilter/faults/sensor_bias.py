@@ -146,10 +146,10 @@ def add_rejection(
     seen = np.einsum("ij,jk,ik->i", channel.near[:, :9], P[:9, :9], channel.near[:, :9])
     before = memory.refused
     if before is None:
-        near = time_s - channel.memory.used_s <= max(settings.BEFORE_S, 3.0 * channel.period_s)
+        near = time_s - channel.memory.used_s <= max(settings.COUNTS_S, 3.0 * channel.period_s)
         confirmed = near and memory.confirmed(channel.memory.used_s)
         # an error that grows reaches the gate just so, now and then; one that jumps is beyond it at once
-        now_and_then = time_s - memory.refused_s <= settings.BEFORE_S and memory.undisputed
+        now_and_then = time_s - memory.refused_s <= settings.COUNTS_S and memory.undisputed
         at_once = not now_and_then and channel.verdict[0] > settings.AT_ONCE * channel.limits[int(channel.verdict[1])]
         first = tuple(residual.tolist())
         new = RejectionRun(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)

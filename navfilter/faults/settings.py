@@ -22,6 +22,8 @@ REFUSED_S = 1.0
 #: A sensor has been used so lately at most, if it is to speak for the state, and heard, if it is there [s]. What only
 #: accelerometers carry for so long errs by more than its gauge, as the square of the time. (chosen)
 RECENT_S = 5.0
+#: What a sensor said counts for so long afterwards [s]: it has jumped since, or contradicts. (chosen)
+COUNTS_S = 2.0
 #: A sensor that others are judged by has been used for so long [s]. (chosen)
 USED_S = 60.0
 #: A difference has grown once it is so many times what it was at first [1]: what is refused has not jumped then, the
@@ -166,8 +168,6 @@ ALONE, LANE_SHARE, FOLLOWS = 900.0, 0.3, 0.1
 #: what the vehicle may do unseen (`navfilter.Imu.gap_force_sd`, as a random walk of its velocity), by more than it was
 #: off at first, and so many times [1] as far as from any reading to the next: noise does not lead away. (chosen)
 CONTRADICTS, AWAY_S, AWAY_SD, LEADS = 25.0, 1.0, 3.0, 2.0
-#: A sensor that has said nothing for so long no longer contradicts [s]. (chosen)
-STALE_S = 2.0
 
 # -------------------- memory
 #: A sensor that has been refused for so long, and then used again, was wrong itself [s]. (chosen)
@@ -194,9 +194,6 @@ RUN_LEAST = 5
 TURNED_DOWN = 1e-4
 
 # -------------------- sensor bias
-#: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three
-#: periods. (chosen)
-BEFORE_S = 2.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1]. (chosen)
 AT_ONCE = 1.5
 #: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers

@@ -157,7 +157,7 @@ def _corrected(bench, spot, P, nav, x, drv, Cr, C, R, moves, limits):
         if spot[HIDDEN]:
             consistency.consider_hidden(P, x, H, K, hidden_kept, hidden, spare[:slopes])
         if elements:
-            consistency.consider_hidden(P, x, H, K, unit_kept, unit, spare[:elements])
+            consistency.consider_unit(P, x, H, K, unit_kept, unit, spare[:elements], drv, Cr)
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -513,6 +513,12 @@ def consider_hidden(P, x, H, K, kept, at, untold):
 
     H (a, n), K (n, a): Jacobian and gain; untold (constants,): work. The others: `consider`.
     """
+    _hidden(P, H, K, kept, at, untold)
+    consider(P, x, kept, at, untold)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _hidden(P, H, K, kept, at, untold):
     a, known, first = H.shape[0], 0.0, min(at, P.shape[0] - kept.shape[1])
     for c in range(a):
         for i in range(H.shape[1]):
@@ -521,6 +527,41 @@ def consider_hidden(P, x, H, K, kept, at, untold):
     for i in range(untold.size):
         before = kept[1 + i, at + i - first]
         untold[i] = 1.0 if before - P[at + i, at + i] < TOLD * TOLD * known * before * before else 0.0
+
+
+@njit(apart=True, cache=True, **UNCOUNTED)
+def consider_unit(P, x, H, K, kept, at, untold, drv, Cr):
+    """`consider_hidden` of scales and misalignments of an inertial unit, whose biases are told instead.
+
+    A scale is told beside a bias, gravity times the one from the other, by readings of what both do together. Were the
+    scale's share of a correction left out, that would stay wrong: the innovations would have a mean for minutes. So the
+    bias takes what the scale would have done to the last sample: that is the gain K + d, d = -K in rows of the scales
+    and their slope times it in those of the biases, and P becomes larger by d S d'.
+
+    drv, Cr: the drive's memory, and how its states make the errors of its values. The others: `consider_hidden`.
+    """
+    _hidden(P, H, K, kept, at, untold)
+    n, first, states = untold.size, min(at, P.shape[0] - kept.shape[1]), Cr.shape[1] - 1 - untold.size
+    per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+    bias, slope = scratch(np.int64, int(1), n), scratch(np.float64, int(1), n)
+    for i in range(n):
+        element, most, bias[0, i], slope[0, i] = int(drv[strapdown.ELEMENTS + i]), 0.0, 9, 0.0
+        for j in range(states):
+            f = Cr[strapdown.OF_READING[element], j]
+            if untold[i] != 0.0 and f * f * P[9 + j, 9 + j] > most:
+                most, bias[0, i] = f * f * P[9 + j, 9 + j], 9 + j
+                slope[0, i] = drv[strapdown.PREVIOUS + strapdown.BY_AXIS[element]] / per / f
+    # first what is between biases and scales, while rows of the scales are what the reading has made of them
+    for i in range(n):
+        if slope[0, i] != 0.0:
+            b = bias[0, i]
+            x[b - 9] += slope[0, i] * (x[at + i - 9] - kept[0, i])
+            for j in range(n):
+                if untold[j] != 0.0:
+                    q = kept[1 + i, at + j - first] - P[at + i, at + j]
+                    P[b, at + j] -= slope[0, i] * q
+                    P[at + j, b] = P[b, at + j]
+                    P[b, bias[0, j]] += slope[0, i] * slope[0, j] * q
     consider(P, x, kept, at, untold)
 
 

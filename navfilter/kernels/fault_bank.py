@@ -10,9 +10,10 @@ J is the information that the innovations y have of the size, and s the score. W
 posterior is N(M s, M), M = (J + V^-1)^-1, and what it adds to the log likelihood is s' M s / 2 - log |I + V J| / 2.
 
 ``bank``: the head below, the onsets of the windows, a row of `TABLE` for each signature, D (states, columns), s
-(columns,), J (columns, columns), what is on top of the log odds (columns,), and a row of `HEARD` for each channel;
-behind that work space. Of a fault there is a column for each window in turn; behind these, in the last window, which
-begins with the mission and is never moved on, one for each signature of a wrong start or description.
+(columns,), J (columns, columns), of which nothing above the diagonal counts, what is on top of the log odds (columns,),
+and a row of `HEARD` for each channel; behind that work space. Of a fault there is a column for each window in turn;
+behind these, in the last window, which begins with the mission and is never moved on, one for each signature of a wrong
+start or description.
 
 Innovations whose sums from look to look are larger than white ones' are of an error model that is wrong: they count as
 much less, for a fault is no more than what they would not be without it.
@@ -24,12 +25,13 @@ import numpy as np
 
 from navfilter.kernels import consistency, strapdown, symmetric
 from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratch, shaped
-from navfilter.kernels.compiling.vectors import less_half, rank2_update, weighted
+from navfilter.kernels.compiling.vectors import add_product, less_half, weighted
 
 # Head: signatures of faults, states, channels, looks so far, time of the last look; log odds of the likeliest fault
 # then, and how far faults that nobody has noticed may have moved the position and turned the heading; time of the last
-# reading; signatures of a wrong start or description, which stand behind the others.
-SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ_S, BEGUN, ONSETS = range(11)
+# reading; signatures of a wrong start or description, which stand behind the others; and sd of the white noise of an
+# angular rate.
+SIGNATURES, STATES, CHANNELS, LOOKS, LOOKED_S, ODDS, RADIUS_M, HEADING_RAD, READ_S, BEGUN, RATE_SD, ONSETS = range(12)
 # A signature: how it acts; the channel that it is of (-1: none); an axis of that, north or east, or a state; the
 # variance of its size (of a ramp: of what it has come to), the log of how often it happens in a second (of a wrong
 # start or description: in a mission), how many signatures are of one fault with it (0: it belongs to the one before),
@@ -42,6 +44,9 @@ STEP, RAMP, FLOW_STEP, FLOW_RAMP, STATE, DRIFT, DESCRIBED, SCALE = range(8)
 # A fault is believed that is so much likelier than none [nat]: an error of one in twenty thousand; and believed to be
 # none where that is so much likelier than the fault: one in twenty. (chosen)
 BELIEVED, GONE = 10.0, 3.0
+# What is described rightly, and is no state, is so to this share of what it may be off by otherwise: 1 cm, 5 ms, 0.05
+# deg. (chosen)
+RIGHT = 0.005
 # Windows: the onset of each is moved on half as often as that of the one before, the first at every other look, the
 # last after eleven minutes. (chosen) The window behind them is the whole mission.
 WINDOWS = 6
@@ -154,8 +159,9 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
     (6,): angular rate and specific force in b; band: see `consistency.velocity_band`; channel: its place among all;
     counts: whether its innovation is evidence; used: whether it corrected the state.
 
-    Slopes go by the rate and force of the reading before and by a held velocity. Those of now err as the innovation
-    does, which would then show every scale and clock a little (errors in variables: Fuller, 1987, sec. 1.1).
+    Slopes go by rate and force of the reading before, and rate and velocity are held within what is known of them.
+    Those of now err as the innovation does, which would then show every scale, arm and clock a little (errors in
+    variables: Fuller, 1987, sec. 1.1); and what noise a rate had then is in the state, by the lever arm.
     """
     a, n, columns = dims[0], dims[1], width(bank)
     first, begin, score, information, more, heard, room = places(bank)
@@ -209,10 +215,11 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
             for w in range(WINDOWS):
                 aged = kind in (RAMP, FLOW_RAMP)
                 row[w * c + k] += unit * (time_s - bank[ONSETS + w]) if aged else unit
-    for i in range(6):
-        own[THEN + i] = motion[i]
+    for i in range(3):
+        own[THEN + i] = consistency.held_slope(motion[i], own[THEN + i], consistency.HELD * bank[RATE_SD])
+        own[THEN + 3 + i] = motion[3 + i]
     if counts:
-        now, half = larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
+        now, scaled = larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
         own[READINGS] += 1.0
         for i in range(a):
             weighted(mem[iS + (a + i) * a : iS + (a + i + 1) * a], G, Z[i])
@@ -223,10 +230,10 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
                 begins, ends, column = signatures_of(bank, w)
                 for k in range(column, column + ends - begins):
                     Z[i, k] *= share
-                    half[i, k] = -0.5 * share * G[i, k]
+                    scaled[i, k] = share * G[i, k]
                     if not math.isnan(mem[iv + 3 + a + i]):
                         bank[score + k] += Z[i, k] * mem[iv + 3 + i] * share
-        rank2_update(shaped(bank[information:more], columns, columns), Z, half)
+        add_product(shaped(bank[information:more], columns, columns), Z, scaled)
     if used:
         few, before = flat(scratch(np.float64, int(1), a)), bank[room + 3 * a * columns :][:columns]
         for j in range(n):
@@ -252,11 +259,31 @@ def _turn(D, turn):
         D[6, k], D[7, k], D[8, k] = x + q * h, y - p * h, h + p * y - q * x
 
 
+@njit(cache=True, **UNCOUNTED)
+def explained(J, s, variance, L, u):
+    """What an error of sizes of this variance adds to the log likelihood [nat]; J, s: of its columns. The inverse of M,
+    the covariance of the sizes, becomes a product of triangles L L', and u L^-1 s.
+    """
+    gain = 0.0
+    for i in range(len(s)):
+        u[i] = s[i]
+        for j in range(i + 1):
+            L[i, j] = J[i, j] + (1.0 / variance if i == j else 0.0)
+            for r in range(j):
+                L[i, j] -= L[i, r] * L[j, r]
+            L[i, j] = math.sqrt(max(L[i, i], 1.0 / variance)) if i == j else L[i, j] / L[j, j]
+        for j in range(i):
+            u[i] -= L[i, j] * u[j]
+        u[i] /= L[i, i]
+        gain += 0.5 * (u[i] ** 2 - math.log(L[i, i] ** 2 * variance))
+    return gain
+
+
 @njit(apart=True, cache=True, **UNCOUNTED)
 def judged(bank, window, k, time_s, out):
     """What innovations say of the fault that begins with signature k, with its onset in a window: its log odds against
-    none [nat]; the size of what it has done to the position if it is there, the sd of that along its longest axis [m];
-    and the same of the heading [rad]. out (5,).
+    none, or against a description that is right [nat]; the size of what it has done to the position if it is there, the
+    sd of that along its longest axis [m]; and the same of the heading [rad]. out (5,).
     """
     n, columns, (begins, _, column) = int(bank[STATES]), width(bank), signatures_of(bank, window)
     first, begin, score, information, more, _, _ = places(bank)
@@ -264,20 +291,9 @@ def judged(bank, window, k, time_s, out):
     together, J = int(bank[own + TOGETHER]), shaped(bank[information:more], columns, columns)
     # a ramp has come to as much as a step by now, whenever it began
     V = bank[own + VARIANCE] / (age_s**2 if bank[own + KIND] in (RAMP, FLOW_RAMP, DRIFT) else 1.0)
-    # the inverse of M, the covariance of its sizes, as a product of triangles L L', and L^-1 s
-    L, u, logs, gain = scratch(np.float64, int(3), 3), flat(scratch(np.float64, int(1), 3)), 0.0, 0.0
-    for i in range(together):
-        u[i] = bank[score + at + i]
-        for j in range(i + 1):
-            L[i, j] = J[at + i, at + j] + (1.0 / V if i == j else 0.0)
-            for r in range(j):
-                L[i, j] -= L[i, r] * L[j, r]
-            L[i, j] = math.sqrt(max(L[i, i], 1.0 / V)) if i == j else L[i, j] / L[j, j]
-        for j in range(i):
-            u[i] -= L[i, j] * u[j]
-        u[i] /= L[i, i]
-        logs, gain = logs + math.log(L[i, i] ** 2 * V), gain + u[i] ** 2
-    out[0] = 0.5 * (gain - logs) + bank[own + RATE] + bank[more + at]
+    L, u, s = scratch(np.float64, int(3), 3), flat(scratch(np.float64, int(1), 3)), bank[score + at :][:together]
+    none = explained(J[at:, at:], s, V * RIGHT**2, L, u) if bank[own + KIND] == DESCRIBED else 0.0
+    out[0] = explained(J[at:, at:], s, V, L, u) - none + bank[own + RATE] + bank[more + at]
     out[0] += math.log(age_s) if window < WINDOWS else 0.0
     D = shaped(bank[begin:score], n, columns)
     # rows of D for north, east and heading times L'^-1: of what it has done, mean by u and covariance by themselves

@@ -87,6 +87,27 @@ def rank2_update(P, u, w):
 
 
 @njit(cache=True, **UNCOUNTED)
+def add_product(P, u, w):
+    """P <- P + u' w of rows u and w (a, n), a product that is symmetric: of each eight columns of P (n, n) the rows
+    from the first of them on, so all that is not above the diagonal; n: eight at least.
+    """
+    n, rows, whole = P.shape[0], flat(P), u.shape[0] // 3 * 3
+    for begin in range(0, n, WIDE):
+        j = min(begin, n - WIDE)
+        done = all_of(float(begin - j))
+        for r in range(0, whole, 3):
+            g0, g1, g2 = _fresh(w[r], j, done), _fresh(w[r + 1], j, done), _fresh(w[r + 2], j, done)
+            for i in range(begin, n):
+                value = eight(rows, i * n + j) + times(all_of(u[r, i]), g0)
+                value = value + times(all_of(u[r + 1, i]), g1)
+                put(rows, i * n + j, value + times(all_of(u[r + 2, i]), g2))
+        for r in range(whole, u.shape[0]):
+            g = _fresh(w[r], j, done)
+            for i in range(begin, n):
+                put(rows, i * n + j, eight(rows, i * n + j) + times(all_of(u[r, i]), g))
+
+
+@njit(cache=True, **UNCOUNTED)
 def less_half(P, f, A, out):
     """Row P less half the sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at
     least. One after the other.
