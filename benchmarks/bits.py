@@ -4,7 +4,7 @@ Every run is made twice the same from a seed: replays (with and without learning
 dead reckoning, with beams, USBL, clocks as states, a sensor of a user's own), live loops with late readings, faults,
 snapshots in the middle, a log of JSON lines. What is hashed is every value of what comes out, in their order; of
 snapshots the values without the names and the format's number. So names of classes and files may change, numbers may
-not.
+not. The reference is another commit of this package; no other software is compared.
 
     python benchmarks/bits.py --against main         makes the runs of that commit, too, in a tree of its own
     python benchmarks/bits.py --json before.json     keeps the hashes of this tree,
