@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -64,37 +65,39 @@ def compile_twin(folder: Path) -> ctypes.CDLL:
     return library
 
 
-def running(p: int, q: int, xs: Array, window: int = 4000) -> tuple[nf.RecursiveArma, dict[str, Any]]:
-    """An estimator that has been running, and its state."""
+def running(p: int, q: int, xs: Array, window: int = 4000) -> nf.RecursiveArma:
+    """An estimator that has been running."""
     arma = nf.RecursiveArma(p, q, window, hop=window if window > 4000 else None, mean=False)
     arma.update_many(xs)
-    return arma, arma.snapshot()
+    return arma
 
 
 def state_table(p: int, q: int, xs: Array) -> Array:
     """State table of a running estimator with room for xs before window work is due."""
-    state = running(p, q, xs)[1]["state"]
+    state = running(p, q, xs).window_fit.state
     state[kernel.HEAD, kernel.POS], state[kernel.HEAD, kernel.DUE] = 0.0, xs.size + 1.0
     return state
 
 
-def best(call: Callable[[], object], prepare: Callable[[], object], repeats: int) -> float:
-    """Shortest of several runs, in seconds: what the machine can do when nobody disturbs it."""
+def best(call: Callable[[Any], object], prepare: Callable[[], Any], repeats: int) -> float:
+    """Shortest of several runs, each with what was prepared for it, in seconds: what the machine can do when nobody
+    disturbs it.
+    """
     spent = []
     for _ in range(repeats):
-        prepare()
-        spent.append(float(in_turn({"": call}, 1, time.perf_counter)[""][0]))
+        made = prepare()
+        spent.append(float(in_turn({"": lambda made=made: call(made)}, 1, time.perf_counter)[""][0]))
     return min(spent)
 
 
 def against_c(library: ctypes.CDLL, p: int, q: int, repeats: int) -> dict[str, float]:
     """Nanoseconds per sample of kernel and C twin, in alternation."""
     xs = series(p, 6000)
-    state, buffer, none = state_table(p, q, xs), np.zeros((1, xs.size)), np.empty((xs.size, 0))
+    state, buffer = state_table(p, q, xs), np.zeros((1, xs.size))
     ours, theirs = state.copy(), state.copy()
     pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (theirs, buffer, xs)]
     calls = {
-        "numba": lambda: kernel.rml_run(ours, buffer, xs, none, 0),
+        "numba": lambda: kernel.rml_run(ours, buffer, xs, 0),
         "c": lambda: library.run(pointers[0], state.shape[1], pointers[1], pointers[2], xs.size),
     }
     turns = []
@@ -114,28 +117,24 @@ def against_c(library: ctypes.CDLL, p: int, q: int, repeats: int) -> dict[str, f
 def from_python(p: int, q: int, repeats: int) -> dict[str, float]:
     """Microseconds of update(x) from Python without window work, and of the window work spread over the samples."""
     xs = series(p, 30_000)
-    alone, kept = running(p, q, xs[:17_000], window=8000)
+    alone, whole = running(p, q, xs[:17_000], window=8000), running(p, q, xs[:10_000])
     values = xs[17_000:18_000].tolist()
-    update_s = best(lambda: [alone.update(x) for x in values], lambda: alone.restore(kept), repeats) / len(values)
-    whole, begun = running(p, q, xs[:10_000])
-    total_s = best(lambda: whole.update_many(xs[10_000:]), lambda: whole.restore(begun), max(repeats // 3, 2))
+    update_s = best(lambda arma: [arma.update(x) for x in values], lambda: deepcopy(alone), repeats) / len(values)
+    total_s = best(lambda arma: arma.update_many(xs[10_000:]), lambda: deepcopy(whole), max(repeats // 3, 2))
     return {"update_us": 1e6 * update_s, "with_polish_us": 1e6 * total_s / 20_000}
 
 
 def against_python(p: int, q: int, repeats: int) -> list[dict[str, Any]]:
     """Samples per second of Python packages, and of the kernel, at a comparable order."""
     xs = series(max(p, 2), 6000)
-    state, buffer, none = state_table(p, q, xs), np.zeros((1, xs.size)), np.empty((xs.size, 0))
-    ours = state.copy()
-    kernel_s = (
-        best(lambda: kernel.rml_run(ours, buffer, xs, none, 0), lambda: np.copyto(ours, state), repeats) / xs.size
-    )
-    arma, kept = running(p, q, xs)
-    public_s = best(lambda: arma.update_many(xs), lambda: arma.restore(kept), max(repeats // 3, 2)) / xs.size
+    state, buffer = state_table(p, q, xs), np.zeros((1, xs.size))
+    kernel_s = best(lambda ours: kernel.rml_run(ours, buffer, xs, 0), state.copy, repeats) / xs.size
+    begun = running(p, q, xs)
+    public_s = best(lambda arma: arma.update_many(xs), lambda: deepcopy(begun), max(repeats // 3, 2)) / xs.size
     rows = []
     for name, (call, count) in peers(xs, p, q).items():
         try:
-            peer_s = best(call, lambda: None, 2) / count
+            peer_s = best(lambda call: call(), lambda call=call: call, 2) / count
         except ModuleNotFoundError as error:
             print(f"{name} is left out: {error.name} is not installed (pip install -e '.[bench]')")
             continue
