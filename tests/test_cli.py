@@ -206,7 +206,7 @@ def test_interrupted_and_out_of_memory(monkeypatch, capsys):
         def run(options):
             raise error
 
-        monkeypatch.setattr(cli, "_warmup", run)
+        monkeypatch.setitem(cli._COMMANDS, "warmup", (run, {}))
         return main(["warmup"])
 
     assert stop(KeyboardInterrupt()) == 130 and "interrupted" in one_line(capsys)
