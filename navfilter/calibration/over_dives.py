@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy  # its parts are imported when they are first used: that takes a second
 
 from navfilter.foundation.arguments import needs
 from navfilter.foundation.arrays import Array
@@ -271,7 +271,7 @@ def _finer(grid: Array) -> tuple[Array, Array, Array]:
             continue
         log = np.log(coarse)
         at = np.linspace(log[0], log[-1], FINER * (len(log) - 1) + 1)
-        score = np.asarray(PchipInterpolator(log, score, axis=axis)(at))
+        score = np.asarray(scipy.interpolate.PchipInterpolator(log, score, axis=axis)(at))
         factors.append(np.exp(at))
     rows, columns = (ln_prior(f) if len(f) > 1 else np.zeros(1) for f in factors)
     return factors[0], factors[1], score + rows[:, None] + columns[None, :]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
 
 from navfilter.foundation.arrays import Array, Complex, Ints, Mask
 from navfilter.models.mission import Mission, Stream
@@ -42,7 +42,7 @@ def integral(time_s: Array, value: NDArray[Number]) -> NDArray[Number]:
     for k in range(flat.shape[1]):
         known = np.isfinite(flat[:, k])
         flat[:, k] = np.interp(time_s, time_s[known], flat[known, k]) if known.any() else 0.0
-    return cumulative_trapezoid(filled, time_s, axis=0, initial=0)
+    return scipy.integrate.cumulative_trapezoid(filled, time_s, axis=0, initial=0)
 
 
 def increments(edges: Array, window_s: float, series: Series, late_s: float = 0.0) -> Array:

@@ -1,7 +1,7 @@
 """Heave: what of the height is faster than the tide, the dive and the trim."""
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+import scipy  # its parts are imported when they are first used: that takes a second
 
 from navfilter.foundation.arrays import Array
 from navfilter.track.track import Track
@@ -38,6 +38,7 @@ def heave(track: Track, period_s: float = 30.0) -> Array:
         raise ValueError(f"heave needs rows closer than {0.05 * period_s:g} s, found {step_s:g} s: --output-rate.")
     even = np.arange(track.time_s[0], track.time_s[-1] + 0.5 * step_s, step_s)
     height = np.interp(even, track.time_s, track.height)
-    slow = butter(2, 1.0 / period_s, "low", fs=1.0 / step_s, output="sos")
-    left = height - sosfiltfilt(slow, height, padtype="odd", padlen=min(even.size - 1, round(period_s / step_s)))
+    slow = scipy.signal.butter(2, 1.0 / period_s, "low", fs=1.0 / step_s, output="sos")
+    padlen = min(even.size - 1, round(period_s / step_s))
+    left = height - scipy.signal.sosfiltfilt(slow, height, padtype="odd", padlen=padlen)
     return np.asarray(np.interp(track.time_s, even, left))
