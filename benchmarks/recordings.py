@@ -211,8 +211,10 @@ def withheld(options: Options) -> list[dict[str, Any]]:
     """
     data_root()
     names = sorted(str(path.parent.relative_to(MAPPINGS)) for path in MAPPINGS.glob("*/*/mission.toml"))
-    # OUTOFWATER was handled in air: the DVL sees no bottom
-    names = [name for name in names if options.only in name and not name.endswith("OUTOFWATER")]
+    # OUTOFWATER was handled in air: the DVL sees no bottom. The dives with their inertial unit have no positions that
+    # could be withheld, and are those of snapir-auv-1hz: `dives.py` has them.
+    elsewhere = ("OUTOFWATER", "snapir-auv-100hz")
+    names = [name for name in names if options.only in name and not any(other in name for other in elsewhere)]
     if options.quick:
         names = list({name.split("/")[0]: name for name in reversed(names)}.values())[::-1]
     table, groups = Table(f"recording<30 protocol<20 distance_m>6.0f {ENDS} nis<4"), {}
