@@ -56,6 +56,18 @@ def test_bars_between_fields(tmp_path):
     np.testing.assert_allclose(depth.value[:, 0], DEPTH)
 
 
+@pytest.mark.parametrize("rows", [1, 2, 119])
+def test_a_quote_within_a_field_is_part_of_it(tmp_path, rows):
+    """Inches: an odd number of them made one record of two lines, and an error that is none of the reader's."""
+    size = ['4"' if k < rows else "4" for k in range(len(K))]
+    for columns in (
+        {"t": text(K), "depth": text(DEPTH), "size": size},
+        {"t": text(K), "size": size, "depth": text(DEPTH)},
+    ):
+        _, depth = depth_of(tmp_path, table(columns))
+        np.testing.assert_allclose(depth.value[:, 0], DEPTH)
+
+
 @pytest.mark.parametrize(
     "content",
     [

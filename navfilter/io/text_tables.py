@@ -294,11 +294,13 @@ def _cut_rows(frame: object, rows: io.BytesIO, begin: int, delimiter: str, width
 
 
 def fields_of(record: str, delimiter: str) -> list[str]:
-    """The fields of a record as CSV has them: a delimiter within quotes is none."""
+    """The fields of a record as CSV has them: a delimiter within quotes is none. Quotes within a field hold no end of a
+    line: there the record ends, whatever their number.
+    """
     if delimiter == "whitespace":
         record, delimiter = " ".join(record.split("\t")), " "
     csv.field_size_limit(max(csv.field_size_limit(), _LONGEST))
-    found = next(csv.reader([record], delimiter=delimiter, skipinitialspace=True), [])
+    found = next(csv.reader(io.StringIO(record, newline=""), delimiter=delimiter, skipinitialspace=True), [])
     return found[:-1] if delimiter == " " and found and not found[-1] else found
 
 
