@@ -264,6 +264,8 @@ class LaneNavigator(NavigatorStatus):
             return False
         while (edge_s := self._edge_s) < time_s:
             self.lane_choice.decide_until(edge_s, behind=True)
+            # with what the lane without a unit is told at that time: one that begins anew may begin from it
+            self._propagate_dead_reckoning(math.nextafter(edge_s, math.inf))
             for lane in self.lane_choice.due_restarts():
                 begin_anew(self._runs[lane], self.believed)
                 self.lane_choice.on_restart(lane)
