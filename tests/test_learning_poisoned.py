@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.models.learned_arma import learned_part
+from navfilter.models.learned_arma import changed, learned_part
 from navfilter.models.state import wrap
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -116,6 +116,8 @@ def test_while_the_unit_is_left_out_its_open_loop_is_none(fault):
     mission = mission.with_stream("imu", nf.Stream(time_s, value, stream.columns))
     track = nf.replay(vehicle.with_error(compass=nf.LearnedArma(prior=BELIEF)), mission, output_rate_hz=1.0)
     adopted = [(t, models[0] if isinstance(models, tuple) else models) for t, models in track.error_models["compass"]]
-    later = [sizes(model) for t, model in adopted if t > FAULT_S]
+    # as it was learnt: its level follows the seconds in which the unit errs unseen, and comes back when it is left out
+    later = [sizes(*changed([model], level=1.0)) for t, model in adopted if t > FAULT_S]
+    assert all(0.5 < learned_part(model).level < 2.0 for t, model in adopted if t > FAULT_S + 5.0)
     assert sum(track.counts[name] for name in ("stuck", "silent", "contradicted")) >= 1
     assert max(later, default=0.0) < 3.0 * sizes(TRUE)  # there may be nothing new to be learnt

@@ -101,6 +101,8 @@ class LearningMemory:
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     refused : bool
         Whether what was learnt last predicts fixes, or its readings, worse than what is in force.
+    opened : bool
+        Whether biases of gyros may be known less than a drift begins with, since the state was set anew.
     """
 
     SHARED: ClassVar = ("beginning",)
@@ -117,6 +119,7 @@ class LearningMemory:
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
     refused: bool
+    opened: bool
 
     def revive(self, names: tuple[str, ...]) -> None:
         """Make the inputs of the beginning, as they were stored, one's own, for a vehicle with these sensors.
@@ -184,7 +187,7 @@ class LearningSchedule:
         self._quiet_s = -math.inf
         self._waiting: tuple[Change, ...] = ()
         self.again: RerunRequest | None = None
-        self._refused = False
+        self._refused = self._opened = False
         self._fed_back = np.zeros(2 * filter.layout.head + 3)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
@@ -210,7 +213,7 @@ class LearningSchedule:
         kept = (0, 0) if self.beginning is None else self.beginning.count
         return LearningMemory(
             *(self._fed_back, listeners, rest, self.beginning, kept, self._stage, self._hopping, self.again),
-            *(self._quiet_s, self._waiting, self._levels, self._refused),
+            *(self._quiet_s, self._waiting, self._levels, self._refused, self._opened),
         )
 
     @memory.setter
@@ -218,7 +221,7 @@ class LearningSchedule:
         self._fed_back, self.beginning = memory.fed_back, memory.beginning
         self._stage, self._hopping, self.again = memory.stage, memory.hopping, memory.again
         self._quiet_s, self._waiting, self._levels = memory.quiet_s, memory.waiting, memory.levels
-        self._refused = memory.refused
+        self._refused, self._opened = memory.refused, memory.opened
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -287,6 +290,7 @@ class LearningSchedule:
                     listener.doubt()
             if event.anew:
                 self._state_reset(open_loop_residual.HEADING)
+                self._opened = True
         return ()
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
@@ -306,6 +310,11 @@ class LearningSchedule:
         doubtful = 0 if listener is None else doubtful_ticks(channel, time_s)
         if listener is not None and doubtful:
             listener.leave_out(doubtful)
+        if self._opened:
+            opened = [name for name, one in self.listeners.items() if self._knows_less_than(one)]
+            self._opened = bool(opened)
+            if listener is not None and channel.name in opened:
+                listener.begin_anew(0.0)
         if self._waiting:
             first, *rest = self._waiting
             self._waiting = tuple(rest)
@@ -329,8 +338,8 @@ class LearningSchedule:
         return _ASKED if name in self.fixes else _DEAF
 
     def for_kernel(self, name: str) -> Heard | None:
-        """With what a kernel listens to a sensor; None where its next reading brings a model to adopt."""
-        if self._waiting:
+        """With what a kernel listens to a sensor; None where its next reading is not for a kernel."""
+        if self.is_waiting:
             return None
         if name not in self.listeners:
             return Heard(self._fed_back, self.ear(name), _NO_RING, _NO_CURSOR, None, self.learning_s)
@@ -356,8 +365,8 @@ class LearningSchedule:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the next reading brings a model to adopt."""
-        return bool(self._waiting)
+        """Whether the next reading brings a model to adopt, or shows whether drifts may go on."""
+        return bool(self._waiting) or self._opened
 
     @property
     def feedback(self) -> Array:
@@ -376,6 +385,14 @@ class LearningSchedule:
         for listener in self.listeners.values():
             if listener.kind in chain[chain.index(kind) :]:
                 listener.begin_anew(0.0)
+
+    def _knows_less_than(self, listener: OpenLoopSeries) -> bool:
+        """Whether the filter knows a bias of the gyros less than a drift begins with. Where the unit is used again,
+        after something has stood in for it, its biases are open for minutes: their drift was learnt as the sensor's.
+        """
+        drive, variances = self.filter.layout.drive, self.filter.memory.P.diagonal()
+        most = min((drift.start_sd[-1] for drift in listener.drifts if drift.start_sd), default=math.inf)
+        return any(variances[drive.start + states[0]] > most**2 for states in drive.biases[:3] if len(states))
 
     def _relaid(self, M: Array) -> None:
         """What was fed back, of the head's states that M makes of those before."""
