@@ -101,8 +101,9 @@ class LearningMemory:
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     refused : bool
         Whether what was learnt last predicts fixes, or its readings, worse than what is in force.
-    opened : bool
-        Whether biases of gyros may be known less than a drift begins with, since the state was set anew.
+    opened_s : float
+        Until when biases of gyros may be known less than a drift begins with, since the state was set anew [s]; -inf:
+        they are known.
     """
 
     SHARED: ClassVar = ("beginning",)
@@ -119,7 +120,7 @@ class LearningMemory:
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
     refused: bool
-    opened: bool
+    opened_s: float
 
     def revive(self, names: tuple[str, ...]) -> None:
         """Make the inputs of the beginning, as they were stored, one's own, for a vehicle with these sensors.
@@ -187,7 +188,7 @@ class LearningSchedule:
         self._quiet_s = -math.inf
         self._waiting: tuple[Change, ...] = ()
         self.again: RerunRequest | None = None
-        self._refused = self._opened = False
+        self._refused, self._opened_s = False, -math.inf
         self._fed_back = np.zeros(2 * filter.layout.head + 3)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
@@ -213,7 +214,7 @@ class LearningSchedule:
         kept = (0, 0) if self.beginning is None else self.beginning.count
         return LearningMemory(
             *(self._fed_back, listeners, rest, self.beginning, kept, self._stage, self._hopping, self.again),
-            *(self._quiet_s, self._waiting, self._levels, self._refused, self._opened),
+            *(self._quiet_s, self._waiting, self._levels, self._refused, self._opened_s),
         )
 
     @memory.setter
@@ -221,7 +222,7 @@ class LearningSchedule:
         self._fed_back, self.beginning = memory.fed_back, memory.beginning
         self._stage, self._hopping, self.again = memory.stage, memory.hopping, memory.again
         self._quiet_s, self._waiting, self._levels = memory.quiet_s, memory.waiting, memory.levels
-        self._refused, self._opened = memory.refused, memory.opened
+        self._refused, self._opened_s = memory.refused, memory.opened_s
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -290,7 +291,7 @@ class LearningSchedule:
                     listener.doubt()
             if event.anew:
                 self._state_reset(open_loop_residual.HEADING)
-                self._opened = True
+                self._opened_s = self.filter.memory.time_s + self.EARLY_S[-1]
         return ()
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
@@ -310,9 +311,10 @@ class LearningSchedule:
         doubtful = 0 if listener is None else doubtful_ticks(channel, time_s)
         if listener is not None and doubtful:
             listener.leave_out(doubtful)
-        if self._opened:
-            opened = [name for name, one in self.listeners.items() if self._knows_less_than(one)]
-            self._opened = bool(opened)
+        if self._opened_s > -math.inf:
+            found = time_s >= self._opened_s  # what is not found by then is known no better
+            opened = [name for name, one in self.listeners.items() if self._knows_less_than(one) and not found]
+            self._opened_s = self._opened_s if opened else -math.inf
             if listener is not None and channel.name in opened:
                 listener.begin_anew(0.0)
         if self._waiting:
@@ -366,7 +368,7 @@ class LearningSchedule:
     @property
     def is_waiting(self) -> bool:
         """Whether the next reading brings a model to adopt, or shows whether drifts may go on."""
-        return bool(self._waiting) or self._opened
+        return bool(self._waiting) or self._opened_s > -math.inf
 
     @property
     def feedback(self) -> Array:
