@@ -22,6 +22,7 @@ from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.heading_fault import TrackRotationFit
 from navfilter.filter.sensor_channel import Channel, changes
 from navfilter.foundation.chi_square import chi_square_limit
+from navfilter.kernels.fault_bank import GONE
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 
@@ -351,7 +352,8 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
 def is_none(channel: Channel, x: Array, P: Array) -> bool:
     """Whether a sensor that has jumped rather has no constants: each of them, if it were the only one, has more density
     at zero than when it was put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971), by more than
-    the odds at which that was done.
+    the odds at which that was done; and one of them by what makes a fault none: of a constant that may as well be the
+    state's, as a gauge's of the height, hardly more is known than before, which says nothing.
 
     Parameters
     ----------
@@ -365,7 +367,8 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
     shares, axes = np.linalg.eigh(P[np.ix_(places, places)] / np.outer(sds, sds))
     information = axes / np.maximum(shares, np.finfo(float).eps) @ axes.T  # as shares of those at first
     told, alone = information @ (x[places - 9] / sds), np.diag(information)
-    return bool((np.log(alone) > told**2 / alone + 2.0 * channel.faults.odds).all())
+    gained = 0.5 * (np.log(alone) - told**2 / alone)
+    return bool((gained > channel.faults.odds).all() and gained.max() > GONE)
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:
