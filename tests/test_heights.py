@@ -6,7 +6,6 @@ import math
 
 import faults_run as watched
 import numpy as np
-import pytest
 from feeding import once_a_second
 
 import navfilter as nf
@@ -47,13 +46,17 @@ def of(name):
     return np.array([DRIFT]) if name == "depth" else np.array([0.0, 0.0, 2e-3])
 
 
-@pytest.mark.parametrize("name", ["depth", "dvl"])
-def test_a_gauge_that_leaves_slowly_makes_the_height_unsure(name):
-    rows, nav = fly(name, of(name))
+def test_a_gauge_that_leaves_slowly_makes_the_height_unsure():
+    rows, nav = fly("depth", of("depth"))
     opened = rows[np.argmax(rows[:, 2] > 0.5) :]
     assert FAULT_S < opened[0, 0] < BACK_S and nav.counts["jumped"] > 1
-    # whichever of the two it was
     assert (np.abs(opened[:, 1]) < 3.0 * opened[:, 2]).all()
+
+
+def test_a_vertical_velocity_that_drifts_is_found_and_leaves_the_height():
+    rows, nav = fly("dvl", of("dvl"))
+    assert nav.counts["jumped"] == 1 and nav.filter.channels["dvl"].offset
+    assert np.abs(rows[rows[:, 0] > FAULT_S + 40.0, 1]).max() < 0.2
 
 
 def test_what_innovations_told_before_a_gauge_was_opened_again_accuses_nothing_else():
