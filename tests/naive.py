@@ -1663,6 +1663,30 @@ def _displace(nav, d):
     nav[15:17] -= d[2]
 
 
+def has_jumped(drv):
+    return any(drv[strapdown_kernels.JUMPED : strapdown_kernels.JUMPED + 4])
+
+
+def until_odd(drv, samples):
+    """Up to the first that differs from the one before, or that may not be a reading."""
+    if drv[strapdown_kernels.ODD_HEADING] or drv[strapdown_kernels.ODD_VELOCITY]:
+        return min(1, len(samples))
+    before = np.append(
+        drv[strapdown_kernels.PREVIOUS_RPY + 2],
+        drv[strapdown_kernels.GOOD_VELOCITY : strapdown_kernels.GOOD_VELOCITY + 3],
+    )
+    for n, now in enumerate(samples[:, 3:7]):
+        turned = abs((now[0] - before[0] + np.pi) % (2.0 * np.pi) - np.pi)
+        calm = (
+            turned <= strapdown_kernels.SCATTER_RAD
+            and (np.abs(now[1:] - before[1:]) <= strapdown_kernels.SCATTER_M_S).all()
+        )
+        if not calm or not (now[1:].any() or drv[strapdown_kernels.ZERO_IS_VALID]):
+            return n + 1
+        before = now
+    return len(samples)
+
+
 def check_samples(samples, w, sd, limits, period_s, increments):
     unit = w[6]
     unit[1] = 0.0

@@ -694,3 +694,19 @@ def test_kernels_that_do_not_count_references_return_no_arrays(name):
             returned = [part for part in ast.walk(node) if isinstance(part, ast.Return) and part.value is not None]
             slices = [part for given in returned for part in ast.walk(given) if isinstance(part, ast.Slice)]
             assert slices == [] or node.name == "_workspace", node.name
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_samples_of_dead_reckoning_are_taken_up_to_the_first_odd_one(seed):
+    rng = np.random.default_rng(seed)
+    drv = np.zeros(strapdown.DRIVE_SIZE)
+    drv[strapdown.ZERO_IS_VALID] = seed % 2
+    drv[strapdown.ODD_VELOCITY] = seed == 3
+    samples = np.column_stack([np.full(30, 0.5), rng.normal(scale=0.01, size=(30, 6))])
+    samples[:, 3] += rng.choice([0.0, 2.0 * np.pi, 0.3], p=[0.8, 0.15, 0.05], size=30)
+    samples[:, 4] += rng.choice([0.0, 3.0], p=[0.97, 0.03], size=30)
+    samples[rng.integers(30), 4:] = (0.0, np.nan)[seed % 3 == 0]
+    assert strapdown.until_odd(drv, samples) == naive.until_odd(drv, samples)
+    assert strapdown.has_jumped(drv) == naive.has_jumped(drv)
+    drv[strapdown.JUMPED + seed % 4] = 1.0
+    assert strapdown.has_jumped(drv) and naive.has_jumped(drv)

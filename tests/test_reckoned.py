@@ -7,6 +7,7 @@ import math
 import faults_run as watched
 import numpy as np
 import pytest
+import same_runs
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
@@ -263,12 +264,52 @@ def test_spikes_are_left_out(dive):
     assert any(row[6]["attitude"] == "erratic" for row in rows)
 
 
-def test_a_jump_that_lasts_is_believed_after_two_samples(dive):
-    wrong = velocity(events_of(*dive), lambda v, t: v + 4.0 * np.eye(3)[0], 100.0, 110.0)
+def test_a_velocity_that_jumps_has_a_constant_until_it_is_back(dive):
+    """No vehicle gains 4 m/s from one sample to the next: what it is off by takes them, and may be another."""
     vehicle, mission = dive
+    wrong = velocity(events_of(*dive), lambda v, t: v + 4.0 * np.eye(3)[0], 100.0, 110.0)
     nav = nf.Navigator(vehicle, mission.start, threads=False)
     one_by_one(nav, [e for e in wrong if e.true_s < 102.0 and e.sensor == DRIVE])
-    assert np.linalg.norm(nav.state.velocity_n) > 4.0
+    assert nav.health.axes["velocity"] == "jumped" and nav.counts["jumped"] == 1
+    assert np.linalg.norm(nav.state.velocity_n) < 2.0
+    assert max(nav.state.sd[3:5]) == pytest.approx(4.0 / math.sqrt(3.0), rel=0.1)
+    one_by_one(nav, [e for e in wrong if 102.0 <= e.true_s < 112.0 and e.sensor == DRIVE])
+    assert nav.health.axes["velocity"] == "good" and max(nav.state.sd[3:5]) < 0.5
+
+
+def test_a_heading_that_jumps_back_leaves_no_more_than_it_differs_by(dive):
+    vehicle, mission = dive
+    wrong = attitude(events_of(*dive), lambda rpy, t: rpy + 2.0 * ABOUT_DOWN, 100.0, 110.0)
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(nav, [e for e in wrong if e.true_s < 109.0 and e.sensor == DRIVE])
+    assert nav.health.axes["attitude"] == "jumped"
+    assert nav.state.sd[8] == pytest.approx(2.0 / math.sqrt(3.0), rel=0.1)
+    off = nav.state.minus(watched.truth_at(mission.truth, nav.state.time_s))
+    assert abs(off[8]) < 0.2
+    one_by_one(nav, [e for e in wrong if 109.0 <= e.true_s < 112.0 and e.sensor == DRIVE])
+    assert nav.health.axes["attitude"] == "good" and nav.state.sd[8] < 0.2
+
+
+@pytest.mark.parametrize("what", [attitude, velocity])
+def test_jumps_in_stretches_one_by_one_late_and_restored(dive, what):
+    vehicle, mission = dive
+    off = 2.0 * ABOUT_DOWN if what is attitude else 4.0 * np.eye(3)[0]
+    events = what(events_of(*dive), lambda v, t: v + off, 100.0, 110.0)
+    whole, half = (nf.Navigator(vehicle, mission.start, threads=False) for _ in range(2))
+    one_by_one(whole, events)
+    one_by_one(half, [e for e in events if e.true_s < 105.0])
+    again = nf.Navigator.restore(vehicle, half.snapshot())
+    one_by_one(again, [e for e in events if e.true_s >= 105.0])
+    same_runs.assert_same_bits(whole, again)
+    streams = dict(mission.streams)
+    name = "attitude" if what is attitude else "velocity"
+    stream = streams[name]
+    hit = (stream.time_s >= 100.0) & (stream.time_s < 110.0)
+    wrong = mission.with_stream(name, nf.Stream(stream.time_s, stream.value + np.outer(hit, off), stream.columns))
+    whole.finish()
+    track = nf.replay(vehicle, wrong, output_rate_hz=math.inf)
+    assert track.counts["jumped"] == whole.counts["jumped"] == 2
+    np.testing.assert_array_equal(track.covariance[-1], whole.covariance)
 
 
 def test_a_single_compass_that_drives_bounds_no_heading(dive):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from navfilter.faults import settings
 from navfilter.faults.heading_fault import TrackRotationFit, direction, of_one_way, rather_drawn, seen_turned
-from navfilter.filter.actions import Action, Adopt, Count, Inflate, MoveError, Transform
+from navfilter.filter.actions import Action, Adopt, Count, Fold, Inflate, MoveError, Transform
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
@@ -160,6 +160,71 @@ def opened_velocity(filter: FilterState, size: float, speed: float) -> Change | 
         if used and channel.ground and not channel.sensor.flows_m_s and not channel.offset:
             return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
     return None
+
+
+def heed_jump(filter: FilterState) -> Iterator[Action]:
+    """What dead reckoning goes by has jumped as no vehicle moves, and stays there."""
+    memory = filter.memory
+    angle, *change = memory.drv[strapdown.JUMPED : strapdown.JUMPED + 4].tolist()
+    memory.drv[strapdown.JUMPED : strapdown.JUMPED + 4] = 0.0
+    yield Fold()
+    if angle:
+        yield from _jumped(filter, 0, np.array([0.0, 0.0, angle]), strapdown.SCATTER_RAD)
+    if any(change):
+        yield from _jumped(filter, 1, np.array(change), strapdown.SCATTER_M_S)
+
+
+def _jumped(filter: FilterState, which: int, by: Array, scatter: float) -> Iterator[Action]:
+    """Give the heading, or the velocity, constants. They take the jump, which may come to anything between none and
+    twice as much. Where sensors contradicted it, or nothing had been heard of it for long, it has come back rather; one
+    that had jumped already is off by no more than what is left.
+
+    Parameters
+    ----------
+    filter : FilterState
+    which : int
+        0: attitude, 1: velocity.
+    by : ndarray, shape (3,)
+        The jump [rad], [m/s].
+    scatter : float
+        What is no larger is none.
+    """
+    memory, own = filter.memory, slice(3 * which, 3 * which + 3)
+    name, had = ("attitude", "velocity")[which], has_offset(filter.in_force.drive.models[own])
+    disputed = any(not math.isnan(channel.faults.rejected_since_s) for channel in filter.channels.values())
+    yield Count("jumped")
+    left = by.copy()
+    if had:
+        axes, places = _constants(filter, own)
+        left[axes] += memory.x[places]
+        yield Adopt(Change(name, _with_constants(filter, which, 0.0), offsets=True))
+    size = float(np.abs(left).max())
+    away = size > scatter if had else not disputed and memory.time_s - filter.start.time_s >= settings.CONFIRMED_S
+    memory.drv[strapdown.AWAY + which] = float(away)
+    if away:
+        yield Adopt(Change(name, _with_constants(filter, which, size / math.sqrt(3.0)), offsets=True))
+    if away and not had:
+        axes, places = _constants(filter, own)
+        for place, jump in zip(places, by[axes].tolist(), strict=True):
+            yield MoveError(place, jump)
+
+
+def _constants(filter: FilterState, own: slice) -> tuple[list[int], list[int]]:
+    """Axes of attitude or velocity that have a constant, and where these stand among the error states."""
+    models, period_s = filter.in_force.drive.models, filter.period_s
+    first = sum(model.block(period_s).size for model in models[: own.start])
+    found = [(axis, offset_states(models[own], period_s, axis)) for axis in range(3)]
+    return [axis for axis, at in found if len(at)], [first + int(at[0]) for _, at in found if len(at)]
+
+
+def _with_constants(filter: FilterState, which: int, size: float) -> ErrorModel | tuple[ErrorModel, ...]:
+    """Error models of the heading with attitude (0), or of the velocity (1), with constants of this sd, or without."""
+    drive = filter.in_force.drive
+    if which:
+        return with_offsets(drive.models[3:], size)
+    if drive.compass is not None:
+        return with_offsets(drive.compass.models, size)[0]
+    return *drive.models[:YAW], *with_offsets(drive.models[YAW : YAW + 1], size)
 
 
 def take_up(filter: FilterState, change: Change) -> Iterator[Action]:

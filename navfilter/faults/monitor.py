@@ -8,7 +8,15 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.faults import fault_bank, noise_scale, policy, sensor_bias, settings, velocity_fault
+from navfilter.faults import (
+    dead_reckoning_compass,
+    fault_bank,
+    noise_scale,
+    policy,
+    sensor_bias,
+    settings,
+    velocity_fault,
+)
 from navfilter.faults.imu import realignment
 from navfilter.faults.imu.monitor import COUNTED, ImuMonitor
 from navfilter.faults.memory import MonitorMemory, SensorFaults
@@ -20,7 +28,7 @@ from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.filter.state_layout import Layout
 from navfilter.foundation.state_values import copied
-from navfilter.kernels import batch, imu_checks
+from navfilter.kernels import batch, imu_checks, strapdown
 from navfilter.models.mechanisation import Mechanisation
 from navfilter.models.vehicle import Vehicle
 
@@ -186,15 +194,17 @@ class FaultMonitor:
         """Write values for samples that are missing."""
         yield from self.imu_monitor.replace_missing(samples, filter.memory, said_s)
 
-    def has_findings(self, memory: MonitorMemory) -> bool:
+    def has_findings(self, memory: FilterMemory) -> bool:
         """Whether something has been found in the samples."""
-        return self.imu_monitor.news(memory.imu)
+        return self.imu_monitor.news(memory.monitor.imu) or strapdown.has_jumped(memory.drv)
 
     def act_on_imu(self, filter: FilterState) -> Actions:
         """Act on what has been found in the samples."""
         memory = filter.memory
         w = memory.monitor.imu
-        if not batch.gravity_is_due(w, memory.nav, memory.P, filter.period_s):
+        if not filter.inertial:
+            yield from dead_reckoning_compass.heed_jump(filter)
+        elif not batch.gravity_is_due(w, memory.nav, memory.P, filter.period_s):
             before = memory.monitor.has_excluded
             yield from self.imu_monitor.heed(filter)
             if before or memory.monitor.has_excluded:

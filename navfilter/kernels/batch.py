@@ -476,6 +476,8 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
         if w.shape[0] > 0:
             steps = settings[INCREMENTS] > 0.0
             end = begin + imu_checks.check_samples(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
+        else:
+            end = begin + strapdown.until_odd(drv, samples[begin:end])
         block = samples[begin:end]
         addresses.at_steps(spot[STEPS], (nav, xd, drv, block, Phid, Qd, Cr, acc, trace[: end - begin]))
         if recent.shape[0] > 0:
@@ -507,7 +509,7 @@ def _propagated(now, cursor, settings, spot, P, nav, x, acc, drive, samples, sta
         if felt > 0 and drv[strapdown.COUNT] >= felt:
             return HEED
         news = w.shape[0] > 0 and w[imu_checks.UNIT, imu_checks.NEWS] != 0.0
-        if news and not gravity_is_due(w, nav, P, settings[PERIOD_S]):
+        if (news and not gravity_is_due(w, nav, P, settings[PERIOD_S])) or strapdown.has_jumped(drv):
             return HEED
     return DONE
 
@@ -557,7 +559,8 @@ def propagate_sample(hand, samples, before_s, offset_s, at):
     spot, xd = plan[plan.shape[0] - 1], x[: acc.shape[1] - 9]
     addresses.at_steps(spot[STEPS], (nav, xd, drv, samples, Phid, Qd, Cr, acc, acc[:0]))
     news = w.shape[0] > 0 and w[imu_checks.UNIT, imu_checks.NEWS] != 0.0
-    return HEED if news and not gravity_is_due(w, nav, P, period_s) else DONE
+    heed = (news and not gravity_is_due(w, nav, P, period_s)) or strapdown.has_jumped(drv)
+    return HEED if heed else DONE
 
 
 @njit(cache=True, **UNCOUNTED)

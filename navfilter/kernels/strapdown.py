@@ -42,7 +42,7 @@ STUCK_S, STUCK_PERIODS = 8.0, 20.0  # readings that are the same for longer, and
 # stand still on a straight way; so many are remembered, and of a run no more than so many.
 OFTEN, KNOWN_SAMPLES, REPEATS_SAMPLES, COUNTED_PERIODS = 0.1, 100.0, 2000.0, 5.0
 # No vehicle turns or accelerates so fast [rad/s], [m/s^2], beside what a reading scatters [rad], [m/s]; after so many
-# in a row that seem to say so it is believed.
+# in a row that seem to say so it is there to stay.
 MOST_TURN, MOST_ACCELERATION, SCATTER_RAD, SCATTER_M_S, MOST_ODD = 1.5, 5.0, 0.1, 0.5, 2.0
 GAP_TURN = 0.35  # what a vehicle turns by unseen: 0.2 rad/s for some 3 s [rad/sqrt(s)]
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
@@ -90,7 +90,10 @@ SAME_HEADING_S, REPEATS, SEEN = 193, 194, 195
 # Dead reckoning: mean squares of how much turn and change of velocity are others from one interval to the next
 # [rad^2/s^2], [m^2/s^4].
 TURN_USUAL, SPEED_USUAL = 196, 197
-DRIVE_SIZE = 198
+# Dead reckoning: by how much its heading [rad] and its velocity (3) [m/s] have jumped, as no vehicle moves, and stay;
+# 0: they have not, or it has been heeded. 1: heading, velocity have jumped, and not back.
+JUMPED, AWAY = 198, 202
+DRIVE_SIZE = 204
 # Slopes go to a new reading slowly, unless that is further off than so many sd of its errors [1].
 STEADY_SDS, FOLLOWED = 3.0, 0.02
 # What is usual is a mean over so long, two or three dives [s]; at first it is a turn and a push that AUVs begin with
@@ -1004,6 +1007,34 @@ def _stuck(drv, samples, n):
     return stuck_a, stuck_h, drv[SAME_VELOCITY_S] > most_s
 
 
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def has_jumped(drv):
+    """Whether heading or velocity of dead reckoning have jumped, and nobody has heeded it."""
+    found = False
+    for i in range(JUMPED, JUMPED + 4):
+        found = found or drv[i] != 0.0
+    return found
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def until_odd(drv, samples):
+    """How many samples of dead reckoning may be taken before it has to be looked whether they have jumped."""
+    n = 0
+    while n < samples.shape[0]:
+        last, calm = n - 1, drv[ODD_HEADING] == 0.0 and drv[ODD_VELOCITY] == 0.0
+        angle = samples[n, 3] - (samples[last, 3] if n else drv[PREVIOUS_RPY + 2])
+        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+        calm, moving = calm and abs(angle) <= SCATTER_RAD, drv[ZERO_IS_VALID] != 0.0
+        for i in range(3):
+            v = samples[n, 4 + i]
+            moving = moving or v != 0.0
+            calm = calm and abs(v - (samples[last, 4 + i] if n else drv[GOOD_VELOCITY + i])) <= SCATTER_M_S
+        n += 1
+        if not (calm and moving):
+            break
+    return n
+
+
 @njit(cache=True, error_model="numpy")
 def _odd(drv, samples, n, blind, missing):
     """Whether heading and velocity are single ones that no vehicle can make of the last that were taken."""
@@ -1011,16 +1042,22 @@ def _odd(drv, samples, n, blind, missing):
     if drv[STARTED] != 0.0 and not blind:
         angle = samples[n, 3] - drv[PREVIOUS_RPY + 2]
         angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-        odd_a = abs(angle) > MOST_TURN * (drv[BLIND_S] + samples[n, 0]) + SCATTER_RAD and drv[ODD_HEADING] < MOST_ODD
+        odd_a = abs(angle) > MOST_TURN * (drv[BLIND_S] + samples[n, 0]) + SCATTER_RAD
         drv[ODD_HEADING] = drv[ODD_HEADING] + 1.0 if odd_a else 0.0
+        if drv[ODD_HEADING] >= MOST_ODD:  # it stays there
+            drv[JUMPED], drv[PREVIOUS_RPY + 2], drv[ODD_HEADING] = angle, samples[n, 3], 0.0
     drv[GOOD_S] = drv[GOOD_S] + samples[n, 0] if drv[GOOD_S] >= 0.0 else -1.0
     if not missing:
         most = MOST_ACCELERATION * drv[GOOD_S] + SCATTER_M_S
         for i in range(3):
             odd_v = odd_v or (drv[GOOD_S] >= 0.0 and abs(samples[n, 4 + i] - drv[GOOD_VELOCITY + i]) > most)
-        odd_v = odd_v and drv[ODD_VELOCITY] < MOST_ODD
         drv[ODD_VELOCITY] = drv[ODD_VELOCITY] + 1.0 if odd_v else 0.0
-        if not odd_v:
+        stays = drv[ODD_VELOCITY] >= MOST_ODD
+        if stays:
+            drv[ODD_VELOCITY] = 0.0
+            for i in range(3):
+                drv[JUMPED + 1 + i] = samples[n, 4 + i] - drv[GOOD_VELOCITY + i]
+        if stays or not odd_v:
             drv[GOOD_S] = 0.0
             for i in range(3):
                 drv[GOOD_VELOCITY + i] = samples[n, 4 + i]

@@ -275,6 +275,8 @@ class LearningSchedule:
         """Listen to an event of the filter; returns the error models to adopt."""
         if isinstance(event, SamplesUsed):
             return self._passed(event.samples)
+        if isinstance(event, StateTransformed):
+            self._relaid(event.M)  # without listeners, too: its size is part of a snapshot
         if not self.listeners:
             return ()
         if isinstance(event, Correction):
@@ -285,7 +287,6 @@ class LearningSchedule:
             for listener in self.listeners.values():
                 listener.begin_anew(event.seconds)
         elif isinstance(event, StateTransformed):
-            self._relaid(event.M)
             for name, listener in self.listeners.items():
                 if listener.is_watched and not any(map(is_learnt, self.filter.channels[name].sensor.models)):
                     listener.doubt()

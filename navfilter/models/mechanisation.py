@@ -751,17 +751,18 @@ class DeadReckoning(Mechanisation):
         return drv
 
     def conditions(self, drv: Array) -> dict[str, str]:
-        """Of attitude and velocity: "good", "silent", "stuck" or "erratic"."""
+        """Of attitude and velocity: "good", "silent", "stuck", "erratic" or "jumped"."""
         most_s = max(SILENT_S, SILENT_PERIODS * self.period_s)
         stuck_s = max(strapdown.STUCK_S, strapdown.STUCK_PERIODS * self.period_s)
         places = (
-            (strapdown.SAME_ATTITUDE_S, strapdown.BLIND_S, strapdown.ODD_HEADING),
-            (strapdown.SAME_VELOCITY_S, strapdown.LOST_S, strapdown.ODD_VELOCITY),
+            (strapdown.SAME_ATTITUDE_S, strapdown.BLIND_S, strapdown.ODD_HEADING, strapdown.AWAY),
+            (strapdown.SAME_VELOCITY_S, strapdown.LOST_S, strapdown.ODD_VELOCITY, strapdown.AWAY + 1),
         )
         result = {}
         for name, place in zip(self.streams, places, strict=True):
-            same_s, lost_s, odd = drv[list(place)]
-            found = {"stuck": same_s > stuck_s, "silent": lost_s > most_s, "erratic": odd > 0.0, "good": True}
+            same_s, lost_s, odd, away = drv[list(place)]
+            found = {"stuck": same_s > stuck_s, "silent": lost_s > most_s, "erratic": odd > 0.0, "jumped": away > 0.0}
+            found["good"] = True
             result[name] = next(word for word, holds in found.items() if holds)
         return result
 

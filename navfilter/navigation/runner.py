@@ -500,7 +500,7 @@ class BatchRunner:
         """Act on what the kernel has come upon in the samples."""
         filter, told = self.nav.filter, self.nav.on_event
         filter.correct_stationary(told)
-        if filter.monitor.has_findings(filter.memory.monitor):
+        if filter.monitor.has_findings(filter.memory):
             filter.act_on_imu(told)
 
     def _call(self) -> int:
