@@ -372,15 +372,15 @@ def test_a_constant_is_dropped_where_its_density_at_none_has_grown():
             known = norm(size, share * before.std())
             memory.x[place - 9], memory.P[place, place] = size, known.var()
             gained = known.logpdf(0.0) - before.logpdf(0.0)
-            assert sensor_bias.is_none(depth, memory.x, memory.P) == (gained > fault_bank.GONE)
+            assert sensor_bias.is_none(depth, memory.x, memory.P, 0.0) == (gained > fault_bank.GONE)
 
 
 @pytest.mark.parametrize(("size", "dropped"), [(0.0, True), (1.0, False)])
 def test_constants_are_dropped_where_each_of_them_alone_is_rather_none(size, dropped):
     """One is known to be none, which would do for two; of the other hardly anything is known yet, but that it is."""
-    group, faults = SimpleNamespace(start=9, P0=np.eye(2)), SimpleNamespace(odds=0.0)
-    channel = SimpleNamespace(group=group, faults=faults, offsets=np.arange(2))
-    assert sensor_bias.is_none(channel, np.array([0.0, size]), np.diag([0.0] * 9 + [1e-4, 0.9])) == dropped
+    group, faults = SimpleNamespace(start=9, P0=np.eye(2), Q=np.zeros((2, 2))), SimpleNamespace(odds=0.0)
+    channel = SimpleNamespace(group=group, faults=faults, offsets=np.arange(2), period_s=1.0)
+    assert sensor_bias.is_none(channel, np.array([0.0, size]), np.diag([0.0] * 9 + [1e-4, 0.9]), 0.0) == dropped
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -81,6 +81,18 @@ def test_after_the_dive_fixes_tell_of_a_bottom_that_moved(mems):
     assert np.abs(errors.velocity_n[late, :2]).max() < 0.15  # of 0.25
 
 
+def test_where_a_velocity_gets_constants_the_state_has_followed_it():
+    """Else it knows at once that there are none: what it foretells is what it has taken from that velocity."""
+    vehicle, mission = long_dive(350.0)
+    flow = np.array([-0.09, -0.09])
+    moving = over_a_bottom(mission, lambda age: np.minimum(0.01 * age, 1.0)[:, None] * flow, 160.0)
+    track = nf.replay(vehicle, moving, output_rate_hz=1.0)
+    late = (track.time_s > 375.0) & (track.time_s < 450.0)
+    assert track.counts["jumped"] >= 1
+    nees = track.nees(track.errors(mission.truth))["velocity"]
+    assert np.nanmean(nees[late]) < 3.0  # 800 to 2,000
+
+
 def test_a_mounting_that_is_described_wrongly_is_found_without_fixes():
     """A DVL turned by 5 deg: the unit feels other turns than it shows, but from no reading to the next."""
     vehicle, mission = long_dive(400.0)
@@ -231,6 +243,20 @@ def test_noise_of_the_gyros_is_no_lever_arm():
     vehicle = nf.Vehicle(drive, plain.sensors | {"dvl": dvl})
     mission = simulate(vehicle, survey(600.0, surface_s=110.0), seed=1, duration_s=600.0)
     assert not nf.replay(vehicle, mission).counts["arm-or-clock"]
+
+
+def test_a_velocity_that_errs_in_all_axes_is_known_to_in_all():
+    """Of two axes hardly anything is told by the time that the third is believed: they may err as much."""
+    vehicle, mission = long_dive()
+    vehicle, mission = vehicle.without("depth"), mission.hide("depth", (-math.inf, math.inf))
+    stream = mission.streams["dvl"]
+    off = np.outer(np.clip(stream.time_s - SHIFT_S, 0.0, 60.0), [2e-3, -1e-3, 1e-3])
+    wrong = mission.with_stream("dvl", nf.Stream(stream.time_s, stream.value + off, stream.columns))
+    track = nf.replay(vehicle, wrong, output_rate_hz=1.0)
+    late, nees = track.time_s > 300.0, track.nees(track.errors(mission.truth))
+    assert track.counts["jumped"] >= 1
+    # 50 and 15 where only those axes get constants that are believed by themselves
+    assert np.nanmean(nees["position"][late]) < 3.0 and np.nanmean(nees["velocity"][late]) < 3.0
 
 
 def test_a_course_that_errs_is_no_moving_bottom():

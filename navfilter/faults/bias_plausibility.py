@@ -12,14 +12,19 @@ velocity that is opened, and the fixes stay.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import settings
+from navfilter.faults import ground_velocity, settings
 from navfilter.faults.protection_level import IN_PLANE
 from navfilter.faults.sensor_bias import RejectionRun
+from navfilter.filter.actions import Action, Inflate
+from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import MOST_SDS, Channel
+from navfilter.kernels.fault_bank import GONE
+from navfilter.models.fault_bias import currents, offset_states
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -80,3 +85,26 @@ def pulled(channel: Channel, x: Array) -> Array:
     position = np.abs(np.diag(channel.PH[:, :3]))
     ratio = position / np.maximum(np.maximum(own, position / settings.MOST_PULLED), 1e-300)
     return np.asarray(np.abs(channel.coloured_error(x)) * ratio)
+
+
+def has_led(filter: FilterState, channel: Channel) -> Iterator[Action]:
+    """The velocity has followed a sensor that has been given constants, and errs by what that errs by. Each of these is
+    to be disproved: it is fixes that speak for them.
+
+    Parameters
+    ----------
+    filter : FilterState
+    channel : Channel
+        Of that sensor; its memory takes note.
+    """
+    memory, models, start = filter.memory, channel.sensor.models, channel.group.start
+    channel.faults.odds = GONE
+    A, variance = ground_velocity.as_velocity(channel, np.ones(channel.ground, bool)), memory.P.diagonal().copy()
+    led = [(state, np.eye(3)[component]) for state, component in currents(models, channel.period_s)]
+    for axis in range(channel.ground):
+        led += [(state, -A[:, axis]) for state in offset_states(models, channel.period_s, axis)[:1].tolist()]
+    for state, by in led:
+        place = start + state
+        yield Inflate(slice(3, 6), slice(3, 6), variance[place] * np.outer(by, by))
+        yield Inflate(slice(3, 6), place, variance[place] * by)
+        yield Inflate(place, slice(3, 6), variance[place] * by)

@@ -223,7 +223,7 @@ def judge(filter: FilterState) -> Iterator[Action]:
     there = begins[likely & np.isin(windows, (best, WINDOWS))]
     likely &= np.isin(begins, there) & np.isin(windows, np.unique(onsets, return_index=True)[1])
     of, chosen = np.array(
-        [(w, k + j) for w, k in zip(windows[likely], begins[likely], strict=True) for j in range(_size(table, k))]
+        sorted({(w, each) for w, k in zip(windows[likely], begins[likely], strict=True) for each in _whole(table, k)})
     ).T
     other = max(_others(filter), key=lambda one: one.odds, default=None)
     if other is not None and odds.max() < other.odds + kernel.BELIEVED:
@@ -271,6 +271,14 @@ def judge(filter: FilterState) -> Iterator[Action]:
 
 def _size(table: Array, signature: int) -> int:
     return int(table[signature, kernel.TOGETHER])
+
+
+def _whole(table: Array, signature: int) -> list[int]:
+    """All signatures of the fault that begins with this one: an instrument that errs in one axis may err in all."""
+    kind, of = table[signature, [kernel.KIND, kernel.CHANNEL]]
+    if kind in (STEP, RAMP):
+        return np.flatnonzero((table[:, kernel.KIND] == kind) & (table[:, kernel.CHANNEL] == of)).tolist()
+    return [*range(signature, signature + _size(table, signature))]
 
 
 def columns(bank: Array, windows: Ints, signatures: Ints) -> Ints:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,10 @@ class SensorFaults:
     odds : float
         Of one to which the bank has given constants: by how much more than usual readings have to speak against these
         before they are taken away; by so much they were likelier than any other explanation, and a little more [nat].
+    gone : ndarray, shape (k, 4)
+        Of each constant of one that wanders: how much likelier it has become of late that there is none [nat], its mean
+        and variance after the last reading that was used, as shares of those at first, and when that was [s]. It is not
+        written to.
     """
 
     rejected_since_s: float = math.nan
@@ -93,6 +97,7 @@ class SensorFaults:
     again_s: float = math.nan
     either: bool = False
     odds: float = 0.0
+    gone: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
     def agrees(self) -> bool:

@@ -22,7 +22,7 @@ from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.heading_fault import TrackRotationFit
 from navfilter.filter.sensor_channel import Channel, changes
 from navfilter.foundation.chi_square import chi_square_limit
-from navfilter.kernels.fault_bank import GONE
+from navfilter.kernels.fault_bank import BELIEVED, GONE
 from navfilter.models.sensors import Sensor
 from navfilter.models.sensors.observable import Observable
 
@@ -349,7 +349,7 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
     return np.asarray(channel.group.start + channel.offsets)
 
 
-def is_none(channel: Channel, x: Array, P: Array) -> bool:
+def is_none(channel: Channel, x: Array, P: Array, time_s: float) -> bool:
     """Whether a sensor that has jumped rather has no constants: each of them, if it were the only one, has more density
     at zero than when it was put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971), by more than
     the odds at which that was done; and one of them by what makes a fault none: of a constant that may as well be the
@@ -358,17 +358,50 @@ def is_none(channel: Channel, x: Array, P: Array) -> bool:
     Parameters
     ----------
     channel : Channel
+        Its memory takes note.
     x : ndarray, shape (n - 9,)
         Error states.
     P : ndarray, shape (n, n)
         Covariance.
+    time_s : float
+        Of its reading that has just been used [s].
     """
     places, sds = offset_places(channel), np.sqrt(np.diag(channel.group.P0)[channel.offsets])
     shares, axes = np.linalg.eigh(P[np.ix_(places, places)] / np.outer(sds, sds))
     information = axes / np.maximum(shares, np.finfo(float).eps) @ axes.T  # as shares of those at first
     told, alone = information @ (x[places - 9] / sds), np.diag(information)
     gained = 0.5 * (np.log(alone) - told**2 / alone)
-    return bool((gained > channel.faults.odds).all() and gained.max() > GONE)
+    wanders = np.diag(channel.group.Q)[channel.offsets] / sds**2 / channel.period_s
+    odds = channel.faults.odds
+    # where nothing else was as likely: not that it has never been there, but that it has ended
+    if wanders.any() and odds > BELIEVED:
+        of_late = _gained_of_late(channel, told / alone, 1.0 / alone, wanders, time_s)
+        gained, odds = np.where(wanders > 0.0, of_late - GONE, gained), 0.0
+    return bool((gained > odds).all() and gained.max() > GONE)
+
+
+def _gained_of_late(channel: Channel, mean: Array, variance: Array, wanders: Array, time_s: float) -> Array:
+    """Of constants that wander, the same from when on it is most that they have been none: what every reading has
+    added to the density at zero, summed (Page, 1954).
+
+    Parameters
+    ----------
+    channel : Channel
+        Its memory takes note.
+    mean, variance : ndarray, shape (k,)
+        Of each, if it were the only one.
+    wanders : ndarray, shape (k,)
+        Variance by which each changes in a second.
+    time_s : float
+        Of the reading [s].
+    """
+    kept, gained = channel.faults, np.zeros(len(mean))
+    if len(kept.gone) == len(mean):
+        before, was, spread, then_s = kept.gone.T
+        spread = spread + wanders * (time_s - then_s)
+        gained = np.maximum(before, 0.0) + 0.5 * (np.log(spread / variance) + was**2 / spread - mean**2 / variance)
+    kept.gone = np.column_stack([gained, mean, variance, np.full(len(mean), time_s)])
+    return gained
 
 
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:
