@@ -12,6 +12,7 @@ def assert_same_bits(one: Navigator, two: Navigator) -> None:
     """Whatever comes next, both give the same."""
     assert differences(one.filter.memory, two.filter.memory) == []
     assert differences(one.alternative.memory, two.alternative.memory) == []
+    assert differences(one.alternative.subset.memory, two.alternative.subset.memory) == []
     np.testing.assert_array_equal(two.learning.memory.fed_back, one.learning.memory.fed_back)
 
 

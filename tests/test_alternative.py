@@ -145,6 +145,72 @@ def test_in_stretches_one_by_one_live_and_restored(dive, name, monkeypatch):
     np.testing.assert_array_equal(nf.replay(vehicle, wrong, output_rate_hz=math.inf).covariance, together.covariance)
 
 
+# --- a velocity that runs away, and a force that is felt wrongly, look the same ------------------------------------
+
+
+def running_away(mission, m_s2, lasts_s):
+    stream = mission.streams["dvl"]
+    off = m_s2 * np.clip(stream.time_s - FAULT_S, 0.0, lasts_s)
+    return mission.with_stream("dvl", nf.Stream(stream.time_s, stream.value + np.outer(off, [1.0, 0.0, 0.0])))
+
+
+@pytest.fixture(scope="module")
+def surfacing():
+    vehicle, mission = simulate_scenario("lawnmower", 3, 360.0)
+    return vehicle, mission.hide("gps", (60.0, 250.0)).between(0.0, 340.0)
+
+
+@pytest.mark.parametrize(("m_s2", "lasts_s"), [(0.1, 60.0), (0.1, 10.0), (0.03, 60.0)])
+def test_a_velocity_that_runs_away_is_told_from_a_force_by_fixes_and_the_distance_until_then(surfacing, m_s2, lasts_s):
+    vehicle, mission = surfacing
+    track = nf.replay(vehicle, running_away(mission, m_s2, lasts_s), output_rate_hz=1.0)
+    errors, dived = track.errors(mission.truth), (track.time_s > FAULT_S) & (track.time_s < 250.0)
+    nees, late = track.nees(errors), track.time_s > 300.0
+    assert (errors.horizontal <= track.bounds[:, 0])[dived].all()
+    # 150 to 7,000, and with fixes 13 to 75,000, where the unit is believed to be what errs
+    assert np.nanmean(nees["position"][dived]) < 2.0 and np.nanmean(nees["position"][late]) < 2.0
+
+
+def test_a_force_that_is_felt_wrongly_costs_no_distance(surfacing):
+    """No vehicle is as fast as the unit says soon: the velocity was right."""
+    vehicle, mission = surfacing
+    wrong = spoiled(mission, plus(3, 0.1))
+    track = nf.replay(vehicle, wrong, output_rate_hz=1.0)
+    dived = (track.time_s > FAULT_S + 40.0) & (track.time_s < 250.0)
+    assert np.nanmax(track.errors(mission.truth).horizontal[dived]) < 3.0
+    assert track.horizontal_sd()[dived].max() < 6.0
+
+
+def test_the_filter_without_a_velocity_is_the_same_late_and_restored(surfacing):
+    vehicle, mission = surfacing
+    events = events_of(vehicle, running_away(mission, 0.1, 10.0).between(0.0, 280.0))
+    whole, half, late = (nf.Navigator(vehicle, mission.start) for _ in range(3))
+    one_by_one(whole, events)
+    one_by_one(half, [e for e in events if e.time_s <= 200.0])
+    assert half.alternative.subset.memory is not None
+    sd = half.state.sd[:2].max()
+    again = nf.Navigator.restore(vehicle, half.snapshot())
+    assert again.state.sd[:2].max() == sd > 5.0
+    one_by_one(again, [e for e in events if e.time_s > 200.0])
+    same_runs.assert_same_bits(whole, again)
+    order = sorted((e.time_s + 1.0 * (k % 10 == 0 and e.sensor == "dvl"), k) for k, e in enumerate(events))
+    one_by_one(late, [events[k] for _, k in order])
+    same_runs.assert_same_bits(whole, late)
+    together = nf.replay(vehicle, running_away(mission, 0.1, 10.0).between(0.0, 280.0), output_rate_hz=math.inf)
+    np.testing.assert_array_equal(together.covariance[-1], whole.covariance)
+
+
+@pytest.mark.parametrize("change", [{"without": ("none",)}, {"most_m_s": 0.0}, {"against": math.nan}])
+def test_a_snapshot_whose_filter_without_a_velocity_is_none_is_refused(surfacing, change):
+    vehicle, mission = surfacing
+    nav = nf.Navigator(vehicle, mission.start)
+    one_by_one(nav, events_of(vehicle, running_away(mission, 0.1, 10.0).between(0.0, 140.0)))
+    nav.alternative.subset._memory = replace(nav.alternative.subset.memory, **change)
+    nav.history.start_here()
+    with pytest.raises(ValueError, match=r"memory\.subset"):
+        nf.Navigator.restore(vehicle, nav.snapshot())
+
+
 def test_a_snapshot_whose_second_filter_is_none_is_refused(dive):
     vehicle, mission, _ = dive
     nav = nf.Navigator(vehicle, mission.start)

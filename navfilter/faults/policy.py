@@ -25,7 +25,7 @@ from navfilter.faults import (
     velocity_evidence,
     velocity_fault,
 )
-from navfilter.faults.bias_plausibility import pulled, reckoned_since, reckoned_wrongly
+from navfilter.faults.bias_plausibility import has_led, pulled, reckoned_since, reckoned_wrongly
 from navfilter.faults.heading_fault import TrackRotationFit, against_the_compass, told_here, turned, turned_by_fixes
 from navfilter.faults.imu import realignment
 from navfilter.faults.protection_level import IN_LINE
@@ -36,6 +36,7 @@ from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
+from navfilter.kernels.fault_bank import BELIEVED, GONE
 from navfilter.models.fault_bias import descriptions, with_description, with_offsets
 from navfilter.models.sensors.observable import Observable
 
@@ -383,8 +384,11 @@ def pending(filter: FilterState) -> Iterator[Action]:
             continue
         channel = filter.channels[change.sensor]
         channel.faults.refused = None
+        had = channel.offset
         if change.afresh or change.error is not channel.sensor.models:
             yield Adopt(change)
+        if channel.ground and channel.offset and not had and math.isnan(channel.faults.rejected_since_s):
+            yield from has_led(filter, channel)
         if change.turn is not None and channel.sensor.observes.north is None:
             yield from turned_by_fixes(filter, *change.turn)
         elif change.turn is not None:
@@ -443,9 +447,31 @@ def used(filter: FilterState, channel: Channel, time_s: float) -> None:
         and channel.faults.aside is None
         and channel.name not in _waiting(filter)
     )
-    if settled and sensor_bias.is_none(channel, memory.x, memory.P):
+    if settled and sensor_bias.is_none(channel, memory.x, memory.P, time_s):
         kept.either, kept.odds = False, 0.0
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+
+
+def errs(filter: FilterState, channel: Channel, size: float, since_s: float) -> Iterator[Action]:
+    """It was a velocity that erred, and not the unit: what it is off by now has grown from nothing.
+
+    Parameters
+    ----------
+    filter : FilterState
+    channel : Channel
+        Of that velocity; its memory takes note.
+    size, since_s : float
+        By how much [m/s], and since when [s].
+    """
+    kept, memory = channel.faults, filter.memory
+    density = size / max(memory.time_s - since_s, channel.period_s)
+    speed = max(math.hypot(*memory.nav[3:6].tolist()), settings.SLOW)
+    kept.evidence, kept.refused, kept.aside, kept.jumped_s = None, None, None, memory.time_s
+    kept.rejected_since_s, kept.odds = math.nan, BELIEVED + GONE
+    kept.gone = np.zeros((0, 4))
+    models = with_offsets(channel.sensor.models, size, speed, density=density)
+    yield Adopt(Change(channel.name, models, offsets=True))
+    yield Count("jumped")
 
 
 def _waiting(filter: FilterState) -> list[str]:

@@ -6,7 +6,7 @@ Users see `navfilter.navigation.navigator` of it.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,25 @@ from navfilter.models.vehicle import Vehicle
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 
 
+class Beside(NamedTuple):
+    """What another explanation of the readings adds to what a filter tells of its state, which itself is left as it is.
+
+    Attributes
+    ----------
+    share : float
+        Its probability.
+    moment : ndarray, shape (9, 9)
+        Its covariance of position, velocity and attitude, and the square of what it is off from this state.
+    radius_m, heading_rad : float
+        How far it may be from this one.
+    """
+
+    share: float
+    moment: Array
+    radius_m: float
+    heading_rad: float
+
+
 class Filter:
     """Error-state extended Kalman filter in closed loop, fed in the order of time.
 
@@ -76,6 +95,8 @@ class Filter:
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     prepared : list of Adoption
         What may be adopted next, worked out beforehand.
+    beside : Beside or None
+        What another explanation of the readings adds to what is told of the state; see `show_beside`.
 
     Raises
     ------
@@ -99,6 +120,7 @@ class Filter:
         self.remembered = max((drive.remembered(c.past_s) for c in self.channels.values() if c.past_s), default=0)
         self._layout_before: tuple[Vehicle, Layout] | None = None
         self.prepared: list[Adoption] = []
+        self.beside: Beside | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
         self.stationary_after = max(2, round(drive.rate_hz * shortest_s)) if self._rest else 0
@@ -217,6 +239,11 @@ class Filter:
             self._row()
         tell(StateTransformed(M, anew=True))
 
+    def show_beside(self, beside: Beside | None) -> None:
+        """Say from now on what another explanation adds."""
+        self.beside = beside
+        self._row()
+
     # ---------------------------------------------------------------- propagation
     def propagate(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space.
@@ -267,6 +294,8 @@ class Filter:
                 self.set_imu_noise()
             elif self.inertial:
                 end = begin + self.monitor.check_samples(samples[begin:end], memory.monitor, self.drive_sd)
+            else:
+                end = begin + strapdown.until_odd(memory.drv, samples[begin:end])
             block = samples if end - begin == total else samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
@@ -280,7 +309,7 @@ class Filter:
             self.correct_stationary(tell)
             if room is not None:
                 tell(SamplesUsed(np.full(block.shape, np.nan) if missing else block))
-            if self.monitor.has_findings(memory.monitor):
+            if self.monitor.has_findings(memory):
                 self.act_on_imu(tell)
             begin = end
 
@@ -324,7 +353,7 @@ class Filter:
     def _row(self) -> None:
         memory = self.memory
         if self.tape is not None:
-            present = self.present if memory.unfolded else None
+            present = self.present if memory.unfolded or self.beside is not None else None
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, present, self.unnoticed)
 
     # ---------------------------------------------------------------- correction
@@ -622,14 +651,19 @@ class Filter:
         out = np.empty(72 + n)
         inertial, work = memory.drv[strapdown.INERTIAL] == strapdown.FELT, np.empty(9 * (n + self.layout.head + 9))
         kalman.present(memory.P, memory.acc, memory.nav, inertial, memory.drv[strapdown.OWN], work, out)
+        if self.beside is not None:
+            out[:81] += self.beside.share * (self.beside.moment.reshape(-1) - out[:81])
         return out
 
     @property
     def unnoticed(self) -> tuple[float, float]:
         """What faults that nobody has noticed may have done to position [m] and heading [rad]."""
+        found = (0.0, 0.0) if self.beside is None else self.beside[2:]
         if not self.bank.size:
-            return 0.0, 0.0
-        return float(self.bank[fault_bank.RADIUS_M]), float(self.bank[fault_bank.HEADING_RAD])
+            return found
+        return max(found[0], float(self.bank[fault_bank.RADIUS_M])), max(
+            found[1], float(self.bank[fault_bank.HEADING_RAD])
+        )
 
     @property
     def errors(self) -> dict[str, float]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from navfilter.faults import settings
+from navfilter.faults import policy, settings
 from navfilter.faults.alternative_path import followed, full_residual
 from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
 from navfilter.faults.monitor import FaultMonitor
@@ -32,6 +32,7 @@ from navfilter.kernels import imu_checks
 from navfilter.models.lane_clock import ANEW_S
 from navfilter.models.vehicle import Vehicle
 from navfilter.navigation.lanes.state_transfer import transplant
+from navfilter.navigation.subset_filter import SubsetFilter, SubsetMemory
 
 #: The filter that uses the unit, the one without its accelerometers, and the one without any of it, as `LaneChoice`
 #: numbers them.
@@ -91,12 +92,14 @@ class Alternative:
     Attributes
     ----------
     is_alive : bool
-        Whether there is one at present.
+        Whether anything goes on beside the run at present.
+    subset : SubsetFilter
+        What the run would be without a sensor for which the unit was left out.
     """
 
     def __init__(self, main: Filter, vehicle: Vehicle, wanted: bool = True) -> None:
-        self._main, self._vehicle, self._made, self.is_alive = main, vehicle, False, False
-        self.wanted = wanted
+        self._main, self._vehicle, self._made, self._paired = main, vehicle, False, False
+        self.wanted, self.subset, self.is_alive = wanted, SubsetFilter(main, vehicle), False
         self._filter: Filter
         self._choice: LaneChoice
         self._lane, self._refused_s, self._settles, self._patience_s = WITH_UNIT, math.nan, False, ANEW_S
@@ -110,22 +113,26 @@ class Alternative:
 
     @property
     def memory(self) -> AlternativeMemory | None:
-        """Everything that changes; setting it goes back (or on) to it."""
-        if not self.is_alive:
+        """Everything that changes in the second filter; None without one."""
+        if not self._paired:
             return None
         own, choice = self._filter.memory, self._choice
         now = self._lane, self._beside, self._refused_s, choice.alone, self._settles
         return AlternativeMemory(own, choice.memory, *now, choice.probation_s, self._patience_s)
 
-    @memory.setter
-    def memory(self, memory: AlternativeMemory | None) -> None:
-        self.is_alive = memory is not None
+    def restore(self, memory: AlternativeMemory | None, subset: SubsetMemory | None) -> None:
+        """Go back (or on) to these."""
+        self._paired, self.subset.memory = memory is not None, subset
+        self._note()
         if memory is not None:
             self._filter.restore(memory.filter)
             self._choice.memory, self._choice.alone = memory.choice, memory.confirmed
             self._choice.probation_s, self._patience_s = memory.probation_s, memory.patience_s
             self._lane, self._beside = memory.lane, memory.beside
             self._refused_s, self._settles = memory.refused_s, memory.settles
+
+    def _note(self) -> None:
+        self.is_alive = self._paired or self.subset.memory is not None
 
     def _prepare(self) -> None:
         """Nothing is left of an earlier life."""
@@ -141,7 +148,7 @@ class Alternative:
         """What is wrong with a memory that came from outside, in words; None when nothing is: then it is this one's."""
         self._prepare()
         self._filter.begin(dict(memory.filter.models))
-        self.is_alive, own = True, self._filter
+        self._paired, own = True, self._filter
         found = misfit(memory, self.memory, "memory.alternative") or memory.filter.problem(own.memory)
         found = found or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
         both = {memory.lane, memory.beside}
@@ -161,7 +168,7 @@ class Alternative:
         """
         if not self._carries:
             return
-        lane = self._lane if self.is_alive else WITH_UNIT
+        lane = self._lane if self._paired else WITH_UNIT
         if lane == NO_FORCES:
             if self._beside != NO_UNIT and self._doubts_gyros(doubt, "depth"):
                 self._leave_out(NO_UNIT, doubt.since_s)
@@ -170,13 +177,16 @@ class Alternative:
             return
         if lane == NO_UNIT or self._main.memory.monitor.has_excluded:
             return
-        if not self.is_alive:
+        if not self._paired:
             self._prepare()
             velocities = [self._main.channels[name] for name in self._choice.names]
             right = [bool(one.ground) and was_right(self._main, one) for one in velocities]
             self._choice.alone = np.array(right, dtype=np.float64)
             self._leave_out(NO_UNIT if self._doubts_gyros(doubt) else NO_FORCES, doubt.since_s)
-            self.is_alive = True
+            self._paired, suspects = True, self._suspects()
+            if suspects and self.subset.memory is None:
+                self.subset.begin(copied(self._main.memory), suspects)
+            self._note()
         self._refused_s = self._main.time_s
         if doubt.told:
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = self._beside, 1.0
@@ -234,7 +244,8 @@ class Alternative:
 
     def adopt(self, change: Change) -> None:
         """The run has put another error model in force, perhaps in the middle of a block of samples."""
-        if not self.is_alive:
+        self.subset.adopt(change)
+        if not self._paired:
             return
         rows, now_s = self._rows, self._main.memory.time_s
         if rows is not None:
@@ -245,13 +256,15 @@ class Alternative:
 
     def expect(self, samples: Array) -> None:
         """The run is about to take samples; the array is left as it is."""
-        self._rows = samples.copy() if self.is_alive else None
+        self._rows = samples.copy() if self._paired else None
+        self.subset.expect(samples)
 
     def propagate(self) -> None:
         """Take what was expected, as the run has."""
         rows, self._rows = self._rows, None
         if rows is not None:
             self._filter.propagate(rows, _ignore)
+        self.subset.propagate()
 
     def correct(self, reading: Measurement, correction: Correction, tell: Listening) -> None:
         """Take a reading that the run has just taken, and see which of the two is to go on.
@@ -264,6 +277,26 @@ class Alternative:
         tell : callable
             Is told what happens to the run's state.
         """
+        if self.subset.memory is not None:
+            self._hear_subset(reading, correction, tell)
+        if self._paired:
+            self._compare(reading, correction, tell)
+        self._note()
+
+    def _hear_subset(self, reading: Measurement, correction: Correction, tell: Listening) -> None:
+        """See whether the run erred when it left out the unit for a sensor, or the sensor did."""
+        right = self.subset.correct(reading, correction)
+        if right is not None:
+            kept = self.subset.end()
+            if right:
+                self._paired, main = False, self._main
+                off = float(np.linalg.norm(main.nav[3:6] - kept.filter.nav[3:6]))
+                main.become(kept.filter, tell)
+                for name in kept.without:
+                    main.act(policy.errs(main, main.channels[name], off, kept.began_s), tell)
+
+    def _compare(self, reading: Measurement, correction: Correction, tell: Listening) -> None:
+        """See which of the two filters is to go on."""
         own = self._filter
         own.propagate_to(reading.name, reading.time_s, _ignore)
         answer = own.correct(reading, self._heard)
@@ -287,7 +320,9 @@ class Alternative:
             self._stand_where_the_run_is()
         if self._beside != WITH_UNIT and self._main.time_s - self._refused_s > settings.WINDOW_S:
             if self._lane == WITH_UNIT:
-                self.is_alive = False
+                self._paired = False
+                if self._choice.memory.begun[WITH_UNIT] == -math.inf and self.subset.memory is not None:
+                    self.subset.end()  # the run is what it was
             else:
                 self._try_unit()
 
@@ -337,6 +372,12 @@ class Alternative:
             return
         self._patience_s = ANEW_S
         self._try_unit()
+
+    def _suspects(self) -> list[str]:
+        """The velocities that contradict the run, if nothing else does: then it may be they that err."""
+        refused = [c for c in self._main.channels.values() if not math.isnan(c.faults.rejected_since_s)]
+        told = [c.sensor.observes.corrects for c in refused]
+        return [c.name for c in refused if c.ground] if all(t in ("velocity", "position") for t in told) else []
 
     def _try_unit(self) -> None:
         """Let the second filter begin anew from the run, with the unit, whose biases may be what was wrong."""

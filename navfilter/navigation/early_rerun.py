@@ -220,7 +220,7 @@ def _in_place(nav: Run, again: RerunRequest) -> None:
 def _begin_again(nav: Run, again: RerunRequest, until_s: float, now_s: float) -> None:
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
-    nav.alternative.memory = None
+    nav.alternative.restore(None, None)
     nav.filter.counts["adopted"] = again.adopted
     inputs = nav.learning.begin_again(until_s)
     history = nav.history

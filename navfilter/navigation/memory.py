@@ -10,6 +10,7 @@ from navfilter.filter.filter_memory import FilterMemory
 from navfilter.foundation.state_values import misfit
 from navfilter.learning.schedule import LearningMemory
 from navfilter.navigation.alternative import AlternativeMemory
+from navfilter.navigation.subset_filter import SubsetMemory
 
 
 @dataclass
@@ -19,6 +20,7 @@ class NavigatorMemory:
     filter: FilterMemory
     learning: LearningMemory
     alternative: AlternativeMemory | None = None
+    subset: SubsetMemory | None = None
 
     def whole(self) -> "NavigatorMemory":
         """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""

@@ -355,14 +355,15 @@ class Navigator(NavigatorStatus):
         """Everything that changes in order; setting one goes back (or on) to it. See
         `navfilter.foundation.state_values`.
         """
-        return NavigatorMemory(self.filter.memory, self.learning.memory, self.alternative.memory)
+        beside = self.alternative
+        return NavigatorMemory(self.filter.memory, self.learning.memory, beside.memory, beside.subset.memory)
 
     @memory.setter
     def memory(self, memory: NavigatorMemory) -> None:
         self.change_count += 1
         self.filter.restore(memory.filter)
         self.learning.memory = memory.learning
-        self.alternative.memory = memory.alternative
+        self.alternative.restore(memory.alternative, memory.subset)
 
     @property
     def time_s(self) -> float:
@@ -468,13 +469,14 @@ class Navigator(NavigatorStatus):
                 self.record_residuals(name, listener.ring.shape[1])
         self.filter.begin(dict(memory.filter.models))
         self.learning.begin_again(-math.inf)
-        own, beside = self.filter, memory.alternative
-        self.alternative.memory = None
+        own, beside, subset = self.filter, memory.alternative, memory.subset
+        self.alternative.restore(None, None)
         problem = (
-            misfit(dataclasses.replace(memory, alternative=None), self.memory, "memory")
+            misfit(dataclasses.replace(memory, alternative=None, subset=None), self.memory, "memory")
             or memory.filter.problem(own.memory)
             or own.monitor.problem(memory.filter.monitor, own.memory.monitor, own.channels)
             or (None if beside is None else self.alternative.problem(beside))
+            or (None if subset is None else self.alternative.subset.problem(subset))
         )
         if problem:
             raise ValueError(problem)

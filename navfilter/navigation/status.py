@@ -20,6 +20,7 @@ from navfilter.foundation.display import Shown
 from navfilter.models.during import same_sensor
 from navfilter.models.health import CALM, Bounds, Health, LearningHealth, SensorHealth
 from navfilter.models.learned_arma import learning_part
+from navfilter.models.start import Start
 from navfilter.models.state import NavState
 
 
@@ -94,11 +95,11 @@ def health_of(
         name: watch.health(now_s, channels[name].faults.condition(channels[name].offset))
         for name, watch in watches.items()
     }
-    drive = filter.vehicle.drive
+    drive = filter.in_force.drive
     axes = filter.monitor.conditions(memory.monitor) or drive.conditions(memory.drv)
     off: dict[str, float] = {}
     held = filter.inertial and drive.feels
-    slow, fix = 0.0, _last_fix(filter, watches)
+    slow, fix = 0.0, _last_fix(filter.start, channels, watches)
     for name, watch in watches.items():
         sees, known = channels[name].sensor.observes.corrects, _off(channels[name], watch, now_s)
         off[sees] = max(off.get(sees, 0.0), known)
@@ -146,12 +147,13 @@ def _stood_in(name: str, sensors: Mapping[str, SensorHealth]) -> bool:
     return not names or any(sensors[each].condition not in ("silent", "waiting") for each in names)
 
 
-def _last_fix(filter: Filter, watches: Mapping[str, SensorMonitor]) -> tuple[float, float, float]:
+def _last_fix(
+    start: Start, channels: Mapping[str, Channel], watches: Mapping[str, SensorMonitor]
+) -> tuple[float, float, float]:
     """Time [s], latitude and longitude [rad] of the last fix that was used, or of the start."""
-    start = filter.start
     last = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
     for name, watch in watches.items():
-        if filter.channels[name].sensor.observes.corrects == "position" and watch.used_s > last[0]:
+        if channels[name].sensor.observes.corrects == "position" and watch.used_s > last[0]:
             last = watch.used_s, *watch.place
     return last
 
