@@ -3,6 +3,7 @@
 missions  every kind of fault in `tests/faults_library.py`, in a simulated mission and in real recordings
 outcomes  how far each fault takes the state, what the filter says of it, and whether its bounds hold the truth
 further   the same for what nothing was written for: two faults at once, clocks, mountings, a bottom that moves
+signatures  every hypothesis of the bank of faults, in three sizes: whether its name is alive
 fault_free  what is excluded where there is no fault, and what that costs
 service   killed processes, full disks, cut logs, damaged snapshots, garbage on the line
 """
@@ -27,6 +28,7 @@ from faults_free import fault_free
 from faults_further import further
 from faults_outcomes import VEHICLES, outcomes
 from faults_service import service
+from faults_signatures import signatures
 
 import navfilter as nf
 from navfilter.models.alignment import align
@@ -195,7 +197,7 @@ if __name__ == "__main__":
     words = "inertial unit, its DVL read beam by beam, or dead reckoning without a unit (default: %(default)s)"
     vehicle = flag("--vehicle", choices=list(VEHICLES), default="tactical", help=words)
     told = [seeds, flags[1], shown, vehicle, quick("one seed")]
-    commands = {missions: flags, outcomes: told, further: told}
+    commands = {missions: flags, outcomes: told, further: told, signatures: told}
     fifty = flag("--seeds", type=int, default=50)
     commands |= {fault_free: [fifty, flags[1], quick("three seeds")]}
     around = [
