@@ -277,6 +277,18 @@ def test_a_velocity_that_jumps_has_a_constant_until_it_is_back(dive):
     assert nav.health.axes["velocity"] == "good" and max(nav.state.sd[3:5]) < 0.5
 
 
+def test_fixes_tell_that_a_velocity_is_back(dive):
+    """It has drifted meanwhile, and comes back by less than it had jumped: it may be off by the rest."""
+    vehicle, mission = dive
+    wrong = velocity(events_of(*dive), lambda v, t: v + (4.0 - 0.1 * (t - 100.0)) * np.eye(3)[0], 100.0, 110.0)
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(nav, [e for e in wrong if e.true_s < 112.0 and e.sensor == DRIVE])
+    assert nav.health.axes["velocity"] == "jumped" and max(nav.state.sd[3:5]) > 0.4
+    one_by_one(nav, [e for e in wrong if 112.0 <= e.true_s < 180.0])
+    assert nav.health.axes["velocity"] == "good" and max(nav.state.sd[3:5]) < 0.2
+    assert not nav.filter.channels["gps"].faults.tells
+
+
 def test_a_heading_that_jumps_back_leaves_no_more_than_it_differs_by(dive):
     vehicle, mission = dive
     wrong = attitude(events_of(*dive), lambda rpy, t: rpy + 2.0 * ABOUT_DOWN, 100.0, 110.0)

@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 
 from navfilter.faults import settings
 from navfilter.faults.heading_fault import TrackRotationFit, direction, of_one_way, rather_drawn, seen_turned
+from navfilter.faults.sensor_bias import rather_none
 from navfilter.filter.actions import Action, Adopt, Count, Fold, Inflate, MoveError, Transform
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.kernels import strapdown
+from navfilter.kernels.fault_bank import GONE
 from navfilter.models.error_models import ErrorModel
 from navfilter.models.fault_bias import has_offset, offset_states, with_offsets
+from navfilter.models.sensors.observable import Observable
 from navfilter.models.sensors.velocity import FLOWS_M_S
 
 Array = NDArray[np.float64]
@@ -200,13 +203,38 @@ def _jumped(filter: FilterState, which: int, by: Array, scatter: float) -> Itera
         yield Adopt(Change(name, _with_constants(filter, which, 0.0), offsets=True))
     size = float(np.abs(left).max())
     away = size > scatter if had else not disputed and memory.time_s - filter.start.time_s >= settings.CONFIRMED_S
-    memory.drv[strapdown.AWAY + which] = float(away)
+    _note_away(filter, which, away)
     if away:
         yield Adopt(Change(name, _with_constants(filter, which, size / math.sqrt(3.0)), offsets=True))
     if away and not had:
         axes, places = _constants(filter, own)
         for place, jump in zip(places, by[axes].tolist(), strict=True):
             yield MoveError(place, jump)
+
+
+def _note_away(filter: FilterState, which: int, away: bool) -> None:
+    """Note whether attitude or velocity have jumped, and not back: then fixes are asked."""
+    drv = filter.memory.drv
+    drv[strapdown.AWAY + which] = float(away)
+    for channel in filter.channels.values():
+        told = channel.sensor.observes is Observable.FIX
+        channel.faults.tells = told and bool(drv[strapdown.AWAY : strapdown.AWAY + 2].any())
+
+
+def come_back(filter: FilterState) -> list[Change]:
+    """Error models without the constants of what has jumped, where a fix that has just been used tells that there are
+    none (as `navfilter.faults.sensor_bias.is_none`).
+    """
+    memory, drive, found = filter.memory, filter.layout.drive, []
+    for which, name in enumerate(("attitude", "velocity")):
+        if memory.drv[strapdown.AWAY + which]:
+            places = np.array(_constants(filter, slice(3 * which, 3 * which + 3))[1])
+            sds, P = np.sqrt(np.diag(drive.P0)[places]), memory.P[np.ix_(9 + places, 9 + places)]
+            gained = rather_none(memory.x[places], P, sds)[0]
+            if (gained > 0.0).all() and gained.max() > GONE:
+                _note_away(filter, which, False)
+                found.append(Change(name, _with_constants(filter, which, 0.0), offsets=True))
+    return found
 
 
 def _constants(filter: FilterState, own: slice) -> tuple[list[int], list[int]]:

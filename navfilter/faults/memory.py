@@ -70,6 +70,8 @@ class SensorFaults:
     odds : float
         Of one to which the bank has given constants: by how much more than usual readings have to speak against these
         before they are taken away; by so much they were likelier than any other explanation, and a little more [nat].
+    tells : bool
+        Of fixes: what drives has jumped, and they may tell that it is back.
     gone : ndarray, shape (k, 4)
         Of each constant of one that wanders: how much likelier it has become of late that there is none [nat], its mean
         and variance after the last reading that was used, as shares of those at first, and when that was [s]. It is not
@@ -97,6 +99,7 @@ class SensorFaults:
     again_s: float = math.nan
     either: bool = False
     odds: float = 0.0
+    tells: bool = False
     gone: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
@@ -125,7 +128,7 @@ class SensorFaults:
 
     def contested(self, offset: bool) -> bool:
         """Whether more is doubted of it than its last readings and its noise; offset: it has a state of a fault."""
-        since = bool(self.alone) or self.partly_since_s > -math.inf or self.astray
+        since = bool(self.alone) or self.partly_since_s > -math.inf or self.astray or self.tells
         return since or offset or (self.scatter is not None and self.scatter.worthless)
 
     def ordinary(self, offset: bool) -> bool:

@@ -438,6 +438,8 @@ def used(filter: FilterState, channel: Channel, time_s: float) -> None:
     none.
     """
     heading_fault.note_heading_used(filter, channel, time_s)
+    if channel.faults.tells:
+        filter.monitor.changes += dead_reckoning_compass.come_back(filter)
     if not channel.offset:
         return
     heading_fault.drop_contradicted_offset(filter, channel, time_s)

@@ -349,6 +349,21 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
     return np.asarray(channel.group.start + channel.offsets)
 
 
+def rather_none(x: Array, P: Array, sds: Array) -> tuple[Array, Array, Array]:
+    """Of each of some constants, if it were the only one: how much more density it has at zero than beforehand [nat],
+    its mean and its variance, as shares of those beforehand.
+
+    Parameters
+    ----------
+    x, P, sds : ndarray, shape (k,), (k, k), (k,)
+        Their estimates and covariance, and their standard deviations beforehand.
+    """
+    shares, axes = np.linalg.eigh(P / np.outer(sds, sds))
+    information = axes / np.maximum(shares, np.finfo(float).eps) @ axes.T  # as shares of those at first
+    told, alone = information @ (x / sds), np.diag(information)
+    return 0.5 * (np.log(alone) - told**2 / alone), told / alone, 1.0 / alone
+
+
 def is_none(channel: Channel, x: Array, P: Array, time_s: float) -> bool:
     """Whether a sensor that has jumped rather has no constants: each of them, if it were the only one, has more density
     at zero than when it was put in force (Savage and Dickey's ratio of the two hypotheses: Dickey, 1971), by more than
@@ -367,15 +382,12 @@ def is_none(channel: Channel, x: Array, P: Array, time_s: float) -> bool:
         Of its reading that has just been used [s].
     """
     places, sds = offset_places(channel), np.sqrt(np.diag(channel.group.P0)[channel.offsets])
-    shares, axes = np.linalg.eigh(P[np.ix_(places, places)] / np.outer(sds, sds))
-    information = axes / np.maximum(shares, np.finfo(float).eps) @ axes.T  # as shares of those at first
-    told, alone = information @ (x[places - 9] / sds), np.diag(information)
-    gained = 0.5 * (np.log(alone) - told**2 / alone)
+    gained, mean, variance = rather_none(x[places - 9], P[np.ix_(places, places)], sds)
     wanders = np.diag(channel.group.Q)[channel.offsets] / sds**2 / channel.period_s
     odds = channel.faults.odds
     # where nothing else was as likely: not that it has never been there, but that it has ended
     if wanders.any() and odds > BELIEVED:
-        of_late = _gained_of_late(channel, told / alone, 1.0 / alone, wanders, time_s)
+        of_late = _gained_of_late(channel, mean, variance, wanders, time_s)
         gained, odds = np.where(wanders > 0.0, of_late - GONE, gained), 0.0
     return bool((gained > odds).all() and gained.max() > GONE)
 
