@@ -206,6 +206,9 @@ def _jumped(filter: FilterState, which: int, by: Array, scatter: float) -> Itera
     _note_away(filter, which, away)
     if away:
         yield Adopt(Change(name, _with_constants(filter, which, size / math.sqrt(3.0)), offsets=True))
+        # it has been held since the first of the samples that say so
+        speed = size if which else size * math.hypot(*memory.nav[3:5].tolist())
+        yield Inflate(range(2), range(2), (speed * strapdown.MOST_ODD * filter.period_s) ** 2 / 3.0)
     if away and not had:
         axes, places = _constants(filter, own)
         for place, jump in zip(places, by[axes].tolist(), strict=True):
