@@ -101,7 +101,7 @@ def replace_compass(filter: FilterState, fixes: Channel, time_s: float) -> Actio
     yield Inflate(range(3), range(3), np.nan_to_num(fixes.res[:3]) ** 2)
     yield Count("reset")
     yield Count("jumped")
-    return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
+    return Change("attitude", _with_constants(filter, 0, math.sqrt(turn[1])), offsets=True, turn=turn)
 
 
 def _from_here(latitude: float, longitude: float, way: Array, time_s: float) -> DeadReckoningComparison:
@@ -130,16 +130,6 @@ def _begin(before: DeadReckoningComparison) -> tuple[float, float, float, float]
 
 def _attitude(filter: FilterState) -> tuple[ErrorModel, ...]:
     return filter.in_force.drive.models[:3]
-
-
-def _with_constant(filter: FilterState, sd: float) -> ErrorModel | tuple[ErrorModel, ...]:
-    """Error models of the attitude, the heading's with a constant of this sd beside it, unless it has one."""
-    drive = filter.in_force.drive
-    if drive.compass is not None:
-        yaw = drive.compass.models
-        return (yaw if has_offset(yaw) else with_offsets(yaw, sd))[0]
-    models = _attitude(filter)
-    return models if has_offset(models[YAW]) else (*models[:YAW], with_offsets(models[YAW:], sd)[0])
 
 
 def opened_velocity(filter: FilterState, size: float, speed: float) -> Change | None:
@@ -276,9 +266,8 @@ def take_up(filter: FilterState, change: Change) -> Iterator[Action]:
     had = has_offset(_attitude(filter)[YAW])
     if not had:
         yield Adopt(change)
-    memory, models, size = filter.memory, _attitude(filter), filter.layout.size
-    first = sum(model.block(filter.period_s).size for model in models[:YAW])
-    place = first + int(offset_states(models[YAW:], filter.period_s)[0])
+    memory, size = filter.memory, filter.layout.size
+    place = _constants(filter, slice(0, 3))[1][-1]
     yield MoveError(place, -angle)
     N = np.zeros((size, size))
     N[9 + place, 9 + place] = variance if had else 0.0
