@@ -1416,7 +1416,7 @@ def after_reading(ear, nis, dof, ticks, learning):
 
 def sum_likelihood(y, length, skipped, F, Q, C, P, r):
     """One filter with a sum beside its states, tick by tick."""
-    n, total, count, done = len(C), 0.0, 0, 0
+    n, total, count, logs, done = len(C), 0.0, 0, 0.0, 0
     x, cov = np.zeros(n + 1), np.zeros((n + 1, n + 1))
     cov[:n, :n] = P
     move, add, noise = np.eye(n + 1), np.eye(n + 1), np.zeros((n + 1, n + 1))
@@ -1431,10 +1431,10 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
         if read:
             S, e = cov[n, n] + read * r, np.nansum(stretch) - x[n]
             if done >= skipped:
-                total, count = total - 0.5 * (e**2 / S + np.log(S)), count + 1
+                total, count, logs = total - 0.5 * (e**2 / S + np.log(S)), count + 1, logs + np.log(S)
             x, cov, done = x + cov[:, n] * e / S, cov - np.outer(cov[:, n], cov[:, n]) / S, done + 1
         x[n] = cov[n] = cov[:, n] = 0.0
-    return total, count
+    return total, count, logs
 
 
 def record_residual(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):

@@ -450,11 +450,9 @@ def identified(scenario, gyro, seeds):
 
 
 #: Medians that are beyond the bars, and why.
-ROUGH = "its slow error begins smoothly; a Gauss-Markov process does not, which no white noise hides"
 TAIL = "what the readings cannot exclude stays, and the mean of the posterior is ruled by its longest times"
 SLOW = "what two cycles in a window tell is slower than the minute over which learnt and described are weighed"
 BEYOND = {
-    ("tactical", "compass-swell"): f"0.27: {ROUGH}",
     ("tactical", "compass-thesis"): f"0.28: {SLOW}",
     ("tactical", "dvl-coloured"): f"0.08: {SLOW}",
     ("mems", "dvl-coloured"): f"0.06: {SLOW}",

@@ -277,8 +277,13 @@ def test_the_posterior_is_that_of_a_fine_grid(fitted, followed):
         assert mass[np.log(tau) <= limit].sum() == pytest.approx(weight[log_tau <= limit].sum(), abs=0.08)
 
 
+def alone(moments, period_s=0.125, sd=0.0):
+    """Processes that stand for many beside white noise, of which there is none."""
+    return nearest(np.asarray(moments, float), nf.ArmaModel((), (), sd), 0.0, period_s)
+
+
 def test_parts_carry_the_mean_variance_and_the_mean_power(followed):
-    parts, (_, tau, mass, square) = nearest(followed.moments), followed.moments.T
+    parts, (_, tau, mass, square) = alone(followed.moments), followed.moments.T
     assert 1 <= len(parts) <= 2
     assert sum(part.sd**2 for part in parts) == pytest.approx(float(mass @ square), rel=1e-3)
     assert sum(part.sd**2 * part.tau_s for part in parts) == pytest.approx(float(mass @ (square * tau)), rel=1e-3)
@@ -297,7 +302,7 @@ def test_parts_carry_the_mean_variance_and_the_mean_power(followed):
     ],
 )
 def test_moments_become_one_or_two_processes(moments, expected):
-    parts = nearest(np.array(moments, float))
+    parts = alone(moments)
     assert [part.order for part in parts] == [part.order for part in expected]
     for part, other in zip(parts, expected, strict=True):
         # one in ten million of 900 s still counts at zero frequency
@@ -316,13 +321,26 @@ def test_two_processes_have_the_mean_power_at_all_frequencies(smooth):
     for _ in range(20):
         weight = np.repeat(random.dirichlet(np.ones(8)), 2) * np.where(order == 2, smooth, 1.0 - smooth)
         moments = np.column_stack([order, tau, weight, random.uniform(0.5, 2.0, 16)])
-        parts, variance = nearest(moments), weight * moments[:, 3]
+        parts, variance = alone(moments, 10.0), weight * moments[:, 3]
         assert sum(part.sd**2 for part in parts) == pytest.approx(variance.sum())
         assert sum(part.sd**2 * part.tau_s for part in parts) == pytest.approx(variance @ tau)
         mean = variance @ slow_psd(order, np.ones(16), tau, frequency)
         found = sum(slow_psd([part.order], [part.sd], np.array([part.tau_s]), frequency)[0] for part in parts)
         # what two processes can: a factor of 1.6 of a sum of sixteen
         assert 0.6 < (found / mean).min() < 1.01 and 0.99 < (found / mean).max() < 1.8
+
+
+def test_none_of_first_order_stands_for_smooth_ones():
+    """What it scatters by from one reading to the next none of them does: innovations of a compass with a smooth error
+    were half as large as said. Beside white noise that is larger it may.
+    """
+    tau = 10.0 * 2.0 ** np.arange(8.0)
+    random, orders = np.random.default_rng(5), set()
+    for _ in range(20):
+        moments = np.column_stack([np.full(8, 2.0), tau, random.dirichlet(np.ones(8)), random.uniform(0.5, 2.0, 8)])
+        assert {part.order for part in alone(moments, sd=1e-3)} == {2}
+        orders |= {part.order for part in alone(moments, sd=1.0)}
+    assert orders == {1, 2}
 
 
 def test_a_prior_that_is_known_is_believed_as_it_stands():

@@ -29,7 +29,8 @@ def _double(A, Q, work):
 @njit(cache=True)
 def sum_likelihood(y, length, skipped, F, Q, C, P, r):
     """Gaussian log-likelihood of the sums over each `length` ticks, with what the sums before have told, but for a
-    constant; and how many sums count: all but the first `skipped`, and those of ticks without a reading.
+    constant; how many sums count: all but the first `skipped`, and those of ticks without a reading; and the log of the
+    product of their variances.
 
     y (N,): NaN where there is no reading. F, Q, P (n, n), C (n,): transition over a tick, its noise, covariance of the
     start, what is read of the states; r: white variance of a reading.
@@ -52,7 +53,7 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
     _moved(sees, noises[0, 0], np.zeros((n + 1, n + 1)), noises[1, 0], work)
     _double(moves[0], noises[0], work)
     _double(moves[1], noises[1], work)
-    total, count, corrected = 0.0, 0, 0
+    total, count, logs, corrected = 0.0, 0, 0.0, 0
     for first in range(0, y.size - length + 1, length):
         t, end, read, summed = first, first + length, 0, 0.0
         while t < end:
@@ -75,7 +76,7 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
             variance, e = cov[n, n] + read * r, summed - x[n]
             if corrected >= skipped:
                 total -= 0.5 * (e * e / variance + math.log(variance))
-                count += 1
+                count, logs = count + 1, logs + math.log(variance)
             for i in range(n + 1):
                 then[i] = cov[i, n] / variance
                 x[i] += then[i] * e
@@ -86,4 +87,4 @@ def sum_likelihood(y, length, skipped, F, Q, C, P, r):
         x[n] = 0.0
         for i in range(n + 1):
             cov[n, i] = cov[i, n] = 0.0
-    return total, count
+    return total, count, logs

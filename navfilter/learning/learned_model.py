@@ -27,8 +27,8 @@ QUICK_SHARES = np.linspace(0.05, 0.95, 10)
 #: So many correlation times are tried for it, by equal ratios.
 QUICK_TIMES = 12
 #: Frequencies that are compared, by equal ratios: from a tenth of the knee of the slowest process, where all are flat,
-#: to three times that of the quickest, from where on all fall as they go on.
-OCTAVES, BELOW, ABOVE = 17, 0.1, 3.0
+#: to half the rate of readings.
+OCTAVES, BELOW = 17, 0.1
 #: One process does where two are no nearer by this [nat]: its spectrum is right within a tenth.
 FITS = 0.005
 
@@ -78,12 +78,9 @@ def learnt_from(likelihood: Likelihood, found: Sequence[Found]) -> tuple[Learned
         or [np.empty((0, 4))]
     )
     fast, share = models[-1], float(shares[-1])
-    slow: tuple[ErrorModel, ...] = nearest(moments)
-    if len(found) > 1:
-        slow = (*slow, White(math.sqrt(1.0 - share) * models[0].sd))
-    sd = fast.sd * math.sqrt(share)
+    sd, white = fast.sd * math.sqrt(share), models[0].sd ** 2 * (1.0 - share) if len(found) > 1 else 0.0
     model = ArmaModel(fast.ar, fast.ma, sd, fast.covariance, spectrum.sd_log_s0, fast.effective_window)
-    return LearnedModel(model, slow, spectrum), moments
+    return LearnedModel(model, nearest(moments, model, white, likelihood.drift.period_s), spectrum), moments
 
 
 def _fast_model(likelihood: Likelihood, point: Point, n: int) -> ArmaModel:
@@ -119,9 +116,9 @@ def with_learnt(model: ErrorModel, found: LearnedModel | None, frozen: bool = Fa
     return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum, frozen=frozen))
 
 
-def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
-    """At most two processes with the variance of a sum of many and its power at zero frequency, as near to its spectrum
-    as can be.
+def nearest(moments: Array, fast: ArmaModel, white: float, period_s: float) -> tuple[ErrorModel, ...]:
+    """What stands beside a fast part: white noise, and at most two processes with the variance of a sum of many and its
+    power at zero frequency, with which the spectrum of the whole is as near as can be.
 
     What is nearest is told by the divergence of Itakura and Saito (1968), `r - ln r - 1` of the ratio r of the true
     spectrum to that of the model: what a reading of the one costs in log-likelihood who believes in the other, and most
@@ -131,15 +128,21 @@ def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
     ----------
     moments : ndarray, shape (m, 4)
         Order, correlation time [s], weight and mean variance [unit^2] of each.
+    fast : ArmaModel
+    white : float
+        Variance of the white noise.
+    period_s : float
+        Of readings [s].
     """
+    noise = (White(math.sqrt(white)),) if white > 0.0 else ()
     order, tau, variance = moments[:, 0], moments[:, 1], moments[:, 2] * moments[:, 3]
     total = float(variance.sum())
     if not total > 0.0:
-        return ()
+        return noise
     mean = float(variance @ tau) / total
     slowest, quickest = float(tau.max()), float(tau.min())
-    first, last = BELOW / (2.0 * np.pi * slowest), ABOVE / (2.0 * np.pi * quickest)
-    frequency = first * (last / first) ** np.linspace(0.0, 1.0, OCTAVES)
+    frequency = np.geomspace(BELOW / (2.0 * np.pi * slowest), 0.5 / period_s, OCTAVES)
+    rest = (fast.spectrum(frequency, 1.0 / period_s) + 2.0 * period_s * white) / total
     # what is quicker than the mean ln tau, and what is slower: exact where there are two
     half = np.log(tau) <= float(variance @ np.log(tau)) / total + 1e-9  # of one alone but for rounding
     size = float(variance[half].sum())
@@ -156,16 +159,16 @@ def nearest(moments: Array) -> tuple[GaussMarkov, ...]:
     shapes = slow_psd(
         np.concatenate([order, kinds]), np.ones(tau.size + kinds.size), np.concatenate([tau, times, times]), frequency
     )
-    truth, shapes = variance @ shapes[: tau.size] / total, shapes[tau.size :].reshape(2, times.size, OCTAVES)
-    apart = _divergence(truth, shapes[:, 0])
+    truth, shapes = variance @ shapes[: tau.size] / total + rest, shapes[tau.size :].reshape(2, times.size, OCTAVES)
+    apart = _divergence(truth, shapes[:, 0] + rest)
     best = int(np.argmin(apart))
     both = share[:, None] * shapes[:, None, 1 : 1 + count] + (1.0 - share)[:, None] * shapes[None, :, 1 + count :]
-    two = _divergence(truth, both)
+    two = _divergence(truth, both + rest)
     if not count or two.min() >= apart[best] - FITS:
-        return (GaussMarkov(sd=math.sqrt(total), tau_s=mean, order=best + 1),)
+        return GaussMarkov(sd=math.sqrt(total), tau_s=mean, order=best + 1), *noise
     one, other, k = np.unravel_index(int(np.argmin(two)), two.shape)
     parts = (share[k], quick[k], one + 1), (1.0 - share[k], slow[k], other + 1)
-    return tuple(GaussMarkov(math.sqrt(total * part), float(time_s), int(n)) for part, time_s, n in parts)
+    return *(GaussMarkov(math.sqrt(total * part), float(time_s), int(n)) for part, time_s, n in parts), *noise
 
 
 def _divergence(truth: Array, model: Array) -> Array:
