@@ -2409,7 +2409,7 @@ def description_slope(component, nav, velocity, motion, output):
         output[:] = np.cross(velocity, C[:, component - 4])
 
 
-def _slope(table, k, near, nav, velocity, own):
+def _slope(table, k, near, nav, velocity, motion):
     """What a unit of a signature adds to a reading, but for its age; shape (a,)."""
     kind, _, place, _, _, _, read = table[k]
     over_ground, by = (np.arange(len(near)) < read) * near[:, 3:6].T, np.zeros(3)
@@ -2418,18 +2418,25 @@ def _slope(table, k, near, nav, velocity, own):
     if kind == fault_bank.SCALE:
         return velocity @ over_ground
     if kind == fault_bank.DESCRIBED:
-        description_slope(int(place), nav, velocity, own[fault_bank.THEN : fault_bank.THEN + 6], by)
+        description_slope(int(place), nav, velocity, motion[:6], by)
         return by @ over_ground
     return np.eye(len(near))[int(place)] if kind in (fault_bank.STEP, fault_bank.RAMP) else np.zeros(len(near))
 
 
-def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, counts, used):
+def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, value, limit, used):
     onsets, table, D, s, J, _, heard = _bank(bank)
     a, n = dims[0], dims[1]
     H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + n * a].reshape(n, a)
     inverse, y = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a), mem[at[8] + 3 : at[8] + 3 + a]
     seen = ~np.isnan(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
     own, C = heard[channel], nav[6:15].reshape(3, 3)
+    counts = not math.isnan(value)
+    if counts and not used:
+        signatures = table[: int(bank[fault_bank.SIGNATURES]), fault_bank.CHANNEL]
+        counts = limit > 0.0 and value != own[fault_bank.VALUE] and channel in signatures
+        if counts and own[fault_bank.REFUSED] == 0.0 and likeliest(bank, 0, time_s) < 0.0:
+            begin_window(bank, 0, time_s)
+    own[fault_bank.VALUE] = own[fault_bank.VALUE] if math.isnan(value) else value
     held = own[fault_bank.THEN + 6 : fault_bank.THEN + 9]
     new = C.T @ nav[3:6]
     held[:] = held_slope(new, held, band)
@@ -2439,18 +2446,29 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
         column = _column(bank, window, k)
         if kind == fault_bank.DRIFT:
             D[int(place), column] += time_s - bank[fault_bank.READ_S]
-        F = _slope(table, k, near, nav, C @ held, own) if of == channel else np.zeros(a)
+        then = own[fault_bank.THEN :] if used else motion
+        F = _slope(table, k, near, nav, C @ held, then) if of == channel else np.zeros(a)
         aged = kind in (fault_bank.RAMP, fault_bank.FLOW_RAMP)
         G[:, column] = np.where(seen, H @ D[:, column] + F * (time_s - onsets[window] if aged else 1.0), 0.0)
     bank[fault_bank.READ_S] = time_s
     known = consistency.HELD * bank[fault_bank.RATE_SD] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     own[fault_bank.THEN : fault_bank.THEN + 6] = held_slope(motion, own[fault_bank.THEN : fault_bank.THEN + 6], known)
+    weight = 1.0
+    if used:
+        own[fault_bank.REFUSED] = 0.0
+    elif counts:
+        beyond, PH = max(mem[at[8]] / limit, 1.0), mem[at[6] : at[6] + a * n].reshape(a, n)
+        common = np.sum(PH * H, axis=1)
+        known = np.nanmax((common / (beyond * mem[at[8] + 3 + a : at[8] + 3 + 2 * a] - common))[seen])
+        refused = own[fault_bank.REFUSED] + np.array([0.0, known])
+        own[fault_bank.REFUSED] = refused[1]
+        weight = math.sqrt((1.0 + known) / np.prod(1.0 + refused) / beyond)
     if counts:
         sd, before = np.sqrt(mem[at[8] + 3 + a : at[8] + 3 + 2 * a]), own[fault_bank.BEFORE :]
-        share = [1.0 / math.sqrt(before[w] if before[w] > 0.0 else larger(own)) for w, _ in _each(bank)]
+        share = [weight / math.sqrt(before[w] if before[w] > 0.0 else larger(own)) for w, _ in _each(bank)]
         own[fault_bank.READINGS] += 1.0
         few = np.arange(min(a, fault_bank.AXES))
-        own[fault_bank.SUMS + few] += np.where(seen, y / sd, 0.0)[few]
+        own[fault_bank.SUMS + few] += weight * np.where(seen, y / sd, 0.0)[few]
         s += np.square(share) * (G[seen].T @ inverse[np.ix_(seen, seen)] @ y[seen])
         rows, column = np.indices(J.shape)
         J += np.outer(share, share) * (G.T @ inverse @ G) * (rows >= column // 8 * 8)
@@ -2486,6 +2504,15 @@ def judged(bank, window, k, time_s, out):
     place, heading = D[:2, own], D[8:9, own]
     out[1], out[3] = np.linalg.norm(place @ m), np.linalg.norm(heading @ m)
     out[2], out[4] = (np.sqrt(max(np.linalg.eigvalsh(A @ M @ A.T)[-1], 0.0)) for A in (place, heading))
+
+
+def likeliest(bank, window, time_s):
+    table, out, odds = _bank(bank)[1], np.zeros(5), [-math.inf]
+    for w, k in _each(bank):
+        if w == window and table[k, fault_bank.TOGETHER] > 0.0:
+            judged(bank, w, k, time_s, out)
+            odds.append(out[0])
+    return max(odds)
 
 
 def begin_window(bank, window, time_s):

@@ -33,16 +33,17 @@ def test_they_are_standard_normal_where_all_is_as_described(dives, name, axes):
 
 
 def test_a_step_of_the_velocity_is_told_with_its_size(dives):
+    """A small one, which the gate of the DVL lets by: of a larger one it is not known which of the two has erred."""
     vehicle, mission = simulate_scenario("lawnmower", 1, DURATION_S)
     imu = mission.streams["imu"]
     value, at_s = imu.value.copy(), 150.0
-    value[(imu.time_s > at_s) & (imu.time_s <= at_s + 0.5), 3] += 0.6  # forward, 0.3 m/s in all
+    value[(imu.time_s > at_s) & (imu.time_s <= at_s + 0.5), 3] += 0.08  # forward, 0.04 m/s in all
     streams = {**mission.streams, "imu": replace(imu, value=value)}
     track = nf.replay(vehicle, replace(mission, streams=streams), smooth=True)
     step, sd = track.drive_steps[:, :, 0].T
     told = (track.time_s > at_s) & (track.time_s < at_s + 15.0)
     row = np.flatnonzero(told)[np.argmax(np.abs(step / sd)[told])]
-    assert step[row] == pytest.approx(0.3, abs=3.0 * sd[row]) and step[row] > 3.5 * sd[row]
+    assert step[row] == pytest.approx(0.04, abs=3.0 * sd[row]) and step[row] > 3.5 * sd[row]
     assert np.nanmax(np.abs(step / sd)) == step[row] / sd[row]
 
 

@@ -319,7 +319,7 @@ def test_a_unit_with_another_number_of_biases_begins_anew():
     nav.filter.adopt(Change("gyro", nf.GaussMarkov(sd=1e-5, tau_s=100.0) + nf.White(sd=1e-4)), nav.on_event)
     onsets, table, D = fault_bank.parts(nav.filter.memory.monitor.bank)[:3]
     assert np.all(onsets[: kernels.WINDOWS] == nav.time_s) and np.all(table[:, kernels.CHANNEL] < 3)
-    assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 + 3 and D.shape[0] == nav.filter.layout.size
+    assert np.sum(table[:, kernels.KIND] == kernels.STATE) == 3 + 3 + 3 and D.shape[0] == nav.filter.layout.size
 
 
 def test_an_instrument_goes_wrong_under_all_of_its_names():
@@ -515,9 +515,15 @@ def test_the_kernels_and_their_twins(seed):
     mem[at[8] + 3 + a : at[8] + 3 + 2 * a] = np.diag(S)
     if seed == 1:
         mem[at[8] + 3 + a] = np.nan  # a component that is left out
-    for counts, used in ((True, True), (False, True), (True, False)):
+    PH, heard = spd(rng, n, 0.01) @ mem[at[0] : at[0] + a * n].reshape(a, n).T, naive._bank(bank)[6]
+    mem[at[6] : at[6] + a * n], mem[at[8]] = PH.T.ravel(), 40.0
+    for value, limit, used in ((1.0, 9.0, True), (math.nan, 9.0, True), (1.0, 9.0, False), (1.0, 0.0, False)):
         seen = rng.normal(size=(a, 9)), random_nav(rng), rng.normal(size=6), 0.5
-        same(kernels.take_reading, mem, dims, at, *seen, seed % 2, 95.0, counts, used)
+        same(kernels.take_reading, mem, dims, at, *seen, seed % 2, 95.0, value, limit, used)
+    heard[:, kernels.REFUSED] = 0.0
+    for value in (1.0, heard[seed % 2, kernels.VALUE]):  # the first that is refused, and one that comes again
+        same(kernels.take_reading, mem, dims, at, *seen, seed % 2, 95.0, value, 50.0, False)
+    assert kernels.likeliest(bank, seed, 95.0) == pytest.approx(naive.likeliest(bank, seed, 95.0), rel=1e-9)
     for component in range(7):
         moving = random_nav(rng), rng.normal(size=3), rng.normal(size=6)
         ours, twins = run_both(kernels.description_slope, component, *moving, np.zeros(3))
@@ -568,7 +574,7 @@ def test_conditioning_is_that_of_a_filter_that_had_the_fault_as_a_state_from_its
         mem[at[5] : at[6]] = np.vstack([S, np.linalg.inv(S)]).ravel()
         mem[at[8] : at[8] + 3 + 2 * a] = [1.0, a, 1.0, *y, *np.diag(S)]
         moving = random_nav(rng), np.zeros(6), 0.0
-        kernels.take_reading(bank, mem, dims, at, np.zeros((a, 9)), *moving, 0, float(k + 1), True, True)
+        kernels.take_reading(bank, mem, dims, at, np.zeros((a, 9)), *moving, 0, float(k + 1), 1.0, 9.0, True)
         x, P = x + K @ y, P - K @ S @ K.T
         whole = np.column_stack([H, F])
         gain = big @ whole.T @ np.linalg.inv(whole @ big @ whole.T + R)

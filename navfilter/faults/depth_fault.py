@@ -19,8 +19,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from navfilter.faults import settings
-from navfilter.faults.sensor_bias import offset_places
-from navfilter.faults.velocity_evidence import was_right
+from navfilter.faults.sensor_bias import offset_places, was_right
 from navfilter.filter.actions import Action, Count, Inflate
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import FilterState

@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.faults import settings, velocity_evidence
+from navfilter.faults import settings
 from navfilter.filter.actions import Action, Adopt, Correct, Count
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
@@ -40,7 +40,14 @@ from navfilter.kernels.fault_bank import (
 )
 from navfilter.models.error_models import ErrorModel, block_level
 from navfilter.models.fault_bias import SCALE as SCALE_SD
-from navfilter.models.fault_bias import currents, offset_states, proportions, with_description, with_offsets
+from navfilter.models.fault_bias import (
+    currents,
+    descriptions,
+    offset_states,
+    proportions,
+    with_description,
+    with_offsets,
+)
 from navfilter.models.learned_arma import UNLEARNT, changed, is_learnt, learning_part
 from navfilter.models.sensors.observable import Observable
 
@@ -85,12 +92,14 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> tuple[Array, Arra
             add(-1, sd, (STATE, place))
             if axis >= 3:  # what a gyro's does so slowly is a step to the compass
                 add(-1, sd, (DRIFT, place))
+    if len(drive.biases) > 3 and any(channel.ground for channel in channels):
+        add(-1, settings.FLOW_SD, (STATE, 3), (STATE, 4), (STATE, 5))
     faults, rate = len(rows), math.log(settings.DESCRIBED_WRONGLY)
     if rows:
         add(-1, settings.ANGLE_SD, (STATE, 6), (STATE, 7), (STATE, 8))
     for i, channel in enumerate(channels):
         if channel.ground and rows and channel.first_of(channels) == i:
-            known = velocity_evidence.description_places(channel)
+            known = _description_places(channel)
             for sd, of in (
                 (settings.ARM_M, (0, 1, 2)),
                 (settings.LATE_S, (3,)),
@@ -100,6 +109,20 @@ def signatures(layout: Layout, channels: Sequence[Channel]) -> tuple[Array, Arra
                 add(i, sd, *((STATE, known[j]) if j in known else (DESCRIBED, j) for j in of), read=channel.ground)
     table = np.array(rows).reshape(-1, TABLE)
     return table[:faults], table[faults:]
+
+
+#: Parameters that are components of a description, in their order.
+DESCRIPTION = (*(f"lever_arm_{axis}" for axis in "xyz"), "time_offset", *(f"misalignment_{axis}" for axis in "xyz"))
+
+
+def _description_places(channel: Channel) -> dict[int, int]:
+    """Where components of how a velocity sensor is described (`navfilter.models.fault_bias.FaultDescription`) stand in
+    the error state, as far as they do.
+    """
+    sensor, start = channel.sensor, channel.group.start
+    found = {component: start + at for at, component in descriptions(sensor.models, channel.period_s)}
+    of = {one.name: start + channel.group.errors + i for i, one in enumerate(sensor.all_parameters()) if one.sd > 0.0}
+    return found | {component: of[name] for component, name in enumerate(DESCRIPTION) if name in of}
 
 
 def room(layout: Layout, channels: Mapping[str, Channel]) -> tuple[int, int]:
@@ -222,9 +245,13 @@ def judge(filter: FilterState) -> Iterator[Action]:
     best = windows[np.argmax(np.where(windows < WINDOWS, odds, -math.inf))]
     there = begins[likely & np.isin(windows, (best, WINDOWS))]
     likely &= np.isin(begins, there) & np.isin(windows, np.unique(onsets, return_index=True)[1])
-    of, chosen = np.array(
-        sorted({(w, each) for w, k in zip(windows[likely], begins[likely], strict=True) for each in _whole(table, k)})
-    ).T
+    # a size is there with a share of what the likeliest has: its variance beforehand is so much smaller
+    shares: dict[tuple[int, int], float] = {}
+    for w, k, o in zip(windows[likely], begins[likely], odds[likely], strict=True):
+        for each in _whole(table, k):
+            shares[w, each] = max(math.exp(o - odds.max()), shares.get((w, each), 0.0))
+    of, chosen = np.array(sorted(shares)).T
+    share = np.array([shares[one] for one in sorted(shares)])
     other = max(_others(filter), key=lambda one: one.odds, default=None)
     if other is not None and odds.max() < other.odds + kernel.BELIEVED:
         # who knows only the error that there was takes another one for a fault; what it was taken for has led astray
@@ -234,7 +261,7 @@ def judge(filter: FilterState) -> Iterator[Action]:
         return
     rows, at = table[chosen], columns(bank, of, chosen)
     now = np.where(_grows(rows), np.maximum(memory.time_s - onsets[of], 1.0), 1.0)
-    before = np.bincount(chosen)[chosen] * now**2 / rows[:, kernel.VARIANCE]
+    before = np.bincount(chosen)[chosen] * now**2 / (rows[:, kernel.VARIANCE] * share)
     M = np.linalg.inv(J[np.ix_(at, at)] + np.diag(before)).astype(np.float64)
     m = M @ s[at]
     own: dict[int, list[tuple[int, float]]] = {}
@@ -332,6 +359,32 @@ def note_jump(filter: FilterState, channel: Channel, time_s: float) -> None:
 
 def _grows(table: Array) -> NDArray[np.bool_]:
     return np.isin(table[:, kernel.KIND], GROWING)
+
+
+def blames_unit(filter: FilterState, channel: Channel) -> Literal["velocity", "heading"] | None:
+    """Whether it is the unit that makes a sensor contradict the state, rather than a constant of that, or how it is
+    described: an error of the sensor that grows looks the same. Then what contradicts what is in doubt of the unit:
+    its accelerometers, or its gyros, too.
+    """
+    bank = filter.bank
+    if not bank.size:
+        return None
+    table, time_s, drive = parts(bank)[1], filter.memory.time_s, filter.layout.drive
+    own = channel.first_of([*filter.channels.values()])
+    gyros, accelerometers = (drive.start + np.concatenate(axes) for axes in (drive.biases[:3], drive.biases[3:]))
+    turns = forces = NEVER
+    other = 0.0
+    for w, k in hypotheses(bank):
+        kind, of, place = table[k, [kernel.KIND, kernel.CHANNEL, kernel.PLACE]].astype(int)
+        if of == own and kind not in GROWING:
+            other = max(other, _judged(bank, w, k, time_s)[0])
+        elif of < 0 and w < WINDOWS and place in gyros:
+            turns = max(turns, _judged(bank, w, k, time_s)[0])
+        elif of < 0 and w < WINDOWS and place in accelerometers:
+            forces = max(forces, _judged(bank, w, k, time_s)[0])
+    if max(turns, forces) <= other + kernel.GONE:
+        return None
+    return "heading" if turns > forces - kernel.BELIEVED else "velocity"
 
 
 def suspected(filter: FilterState) -> list[str]:

@@ -14,7 +14,6 @@ from navfilter.faults.dead_reckoning_compass import DeadReckoningComparison
 from navfilter.faults.imu.monitor import CONDITIONS
 from navfilter.faults.noise_scale import NoiseScale
 from navfilter.faults.sensor_bias import RejectionRun
-from navfilter.faults.velocity_evidence import VelocityEvidence
 from navfilter.faults.velocity_fault import VelocityFault
 from navfilter.kernels import fault_bank, imu_checks
 from navfilter.kernels.batch import LOOK_EVERY_S
@@ -36,8 +35,6 @@ class SensorFaults:
         Since when it has agreed with the state: NaN before, and after the state was reset to it [s].
     refused : RejectionRun or None
         What the readings that have been refused since say together.
-    evidence : VelocityEvidence or None
-        Of a velocity that has been refused: which explanation its readings speak for.
     way : AlternativePath or None
         Of a velocity that has been refused since the last fix: the way that it would have made beside the state's.
     refused_s : float
@@ -82,7 +79,6 @@ class SensorFaults:
     refused_speed: float = 0.0
     agreed_s: float = math.nan
     refused: RejectionRun | None = None
-    evidence: VelocityEvidence | None = None
     way: AlternativePath | None = None
     refused_s: float = -math.inf
     disputed_s: float = -math.inf

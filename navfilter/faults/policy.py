@@ -18,11 +18,11 @@ from navfilter.faults import (
     dead_reckoning_compass,
     depth_fault,
     fault_bank,
+    ground_velocity,
     heading_fault,
     innovation_gate,
     sensor_bias,
     settings,
-    velocity_evidence,
     velocity_fault,
 )
 from navfilter.faults.bias_plausibility import has_led, pulled, reckoned_since, reckoned_wrongly
@@ -37,7 +37,7 @@ from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
 from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.kernels.fault_bank import BELIEVED, GONE
-from navfilter.models.fault_bias import descriptions, with_description, with_offsets
+from navfilter.models.fault_bias import descriptions, with_offsets
 from navfilter.models.sensors.observable import Observable
 
 Array = NDArray[np.float64]
@@ -107,50 +107,32 @@ def _note_alternative_path(filter: FilterState, channel: Channel, reading: Rejec
         channel.faults.way = alternative_path.with_rejected(filter, channel, reading.time_s)
 
 
-def _described_wrongly(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A velocity whose lever arm or clock is described wrongly: these become states; where they are, they are opened by
-    as much as explains it.
-    """
-    yield from ()
-    kept = channel.faults
+def _unit_blamed(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
+    """A velocity that the bank of faults blames the unit for: the filter without that takes over."""
     if not (filter.inertial and channel.moves and channel.ground):
         return None
-    kept.evidence = velocity_evidence.with_refused(filter, channel, reading.time_s)
-    wrong = None if channel.offset else velocity_evidence.described_wrongly(channel)
-    if wrong is None:
+    kept, refused_s = channel.faults, reading.time_s - channel.faults.rejected_since_s
+    residual = ground_velocity.components(channel, channel.note[3 : 3 + channel.axes])
+    off = float(np.linalg.norm(np.nan_to_num(residual)))
+    # a velocity through water may change with the water, slowly, too
+    if not (refused_s >= settings.VELOCITY_SPAN_S and off > channel.sensor.flows_m_s):
         return None
-    kept.evidence, places = None, velocity_evidence.description_places(channel)  # what it told is the states' now
-    yield Count("arm-or-clock")
-    if unknown := velocity_evidence.of_description(set(range(4)) - places.keys()):
-        opened = with_description(channel.sensor.models, unknown)
-        filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
-        return False
-    own = np.array([places[component] for component in range(4)])
-    yield Inflate(own[:, None], own, wrong)
-    refused = kept.refused
-    yield from _readmit(filter, channel, reading.time_s)
-    kept.refused = refused  # let in so, it ends no run: the next one has not jumped at once
-    return True
-
-
-def _acceleration(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A velocity that the unit leaves behind on a ramp: its tilt is wrong, or the unit is."""
-    force = velocity_evidence.force_felt_wrongly(filter, channel, reading.time_s) if channel.moves else None
-    if force is None:
+    doubted = fault_bank.blames_unit(filter, channel)
+    if doubted is None:
         return None
     if channel.offset:
-        channel.faults.aside, channel.faults.odds = None, 0.0
+        kept.aside, kept.odds = None, 0.0
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
-    yield Inflate(range(6, 8), range(6, 8), (force / STANDARD_GRAVITY) ** 2)
+    yield Inflate(range(6, 8), range(6, 8), (off / refused_s / STANDARD_GRAVITY) ** 2)
     filter.monitor.is_tilted = True
-    yield Announce(UnitDoubted(channel.faults.rejected_since_s - channel.period_s, "velocity", told=True))
+    yield Announce(UnitDoubted(kept.rejected_since_s - channel.period_s, doubted, told=True))
     return False
 
 
 def _tilt(filter: FilterState, channel: Channel, reading: Rejected) -> Actions:
-    """A velocity that is refused because the attitude is wrong: it is set anew."""
+    """A velocity that never confirmed the state, refused because its tilt is wrong: it is set anew."""
     yield from ()
-    if not channel.moves or channel.faults.aside is not None:
+    if not channel.moves or channel.faults.confirmed(channel.memory.used_s):
         return None
     filter.monitor.is_tilted = realignment.tilted(filter, channel, reading.time_s)
     return False if filter.monitor.is_tilted else None
@@ -281,8 +263,6 @@ def _agreed(filter: FilterState, channel: Channel, time_s: float) -> Actions:
             return False
     carried = channel.sensor.observes is not Observable.HEIGHT or depth_fault.are_told(filter, channel, time_s)
     wrong = sensor_bias.decided(channel, carried)
-    if wrong == "sensor" and channel.moves and velocity_evidence.has_not_jumped(channel):
-        return False
     if wrong == "sensor" or refused.back >= settings.RUN_LEAST:
         yield from _jumped(filter, channel, time_s)
         return False
@@ -406,7 +386,7 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
     if sensor_bias.is_gauge(channel) and refused.back < settings.RUN_LEAST and may_be(filter, channel, time_s):
         yield from depth_fault.open_both(filter, channel, time_s)
         return
-    kept.either, kept.evidence, kept.odds = False, None, 0.0
+    kept.either, kept.odds = False, 0.0
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, sensor_bias.offset_places(channel)
     kept.aside = (
@@ -424,8 +404,8 @@ def _jumped(filter: FilterState, channel: Channel, time_s: float) -> Iterator[Ac
         filter.monitor.changes.append(Change(channel.name, opened, offsets=True))
     else:
         yield Inflate(places, places, size**2)
-        filter.monitor.begin_again(filter, memory.monitor)
         kept.refused = None
+    filter.monitor.begin_again(filter, memory.monitor)  # what innovations have told of others this explains, too
     kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
     kept.course = kept.course if refused.back < settings.RUN_LEAST else ()
     if kept.way is not None and refused.back >= settings.RUN_LEAST:
@@ -468,7 +448,7 @@ def errs(filter: FilterState, channel: Channel, size: float, since_s: float) -> 
     kept, memory = channel.faults, filter.memory
     density = size / max(memory.time_s - since_s, channel.period_s)
     speed = max(math.hypot(*memory.nav[3:6].tolist()), settings.SLOW)
-    kept.evidence, kept.refused, kept.aside, kept.jumped_s = None, None, None, memory.time_s
+    kept.refused, kept.aside, kept.jumped_s = None, None, memory.time_s
     kept.rejected_since_s, kept.odds = math.nan, BELIEVED + GONE
     kept.gone = np.zeros((0, 4))
     models = with_offsets(channel.sensor.models, size, speed, density=density)
@@ -501,8 +481,7 @@ REJECTED = (
     _frozen_or_worthless,
     _fix_out_of_reach,
     _note_alternative_path,
-    _described_wrongly,
-    _acceleration,
+    _unit_blamed,
     _tilt,
     _dead_reckoning_compass,
     _implausible_bias,

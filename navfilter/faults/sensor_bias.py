@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from navfilter.faults import ground_velocity, settings, velocity_fault
 from navfilter.faults.heading_fault import TrackRotationFit
+from navfilter.filter.monitor import FilterState
 from navfilter.filter.sensor_channel import Channel, changes
 from navfilter.foundation.chi_square import chi_square_limit
 from navfilter.kernels.fault_bank import BELIEVED, GONE
@@ -283,6 +284,14 @@ def decided(channel: Channel, carried: bool = True) -> Literal["state", "sensor"
     unconfirmed = not memory.confirmed(channel.memory.used_s)
     # after a dive fixes beat what was reckoned meanwhile
     return "state" if unconfirmed or (fixes and not refused.confirmed) else None
+
+
+def was_right(filter: FilterState, channel: Channel) -> bool:
+    """Whether a sensor that is refused was used for long before, on a way: what is described wrongly shows when the
+    vehicle first moves off.
+    """
+    kept, way = channel.faults, filter.start.way_to(*filter.memory.nav[:2].tolist())
+    return channel.memory.used_s - kept.agreed_s >= settings.USED_S and math.hypot(*way) >= settings.WAY_M
 
 
 # ---------------------------------------------------------------- the state was wrong

@@ -75,6 +75,10 @@ FAULTS_PER_S = 0.05 / 3600.0
 #: Standard deviations of what may go wrong: of the velocity of what a velocity is read against [m/s], of a heading
 #: or a mounting [rad], and of a bias of the unit, as a multiple of what it is at the start [1]. (chosen)
 FLOW_SD, ANGLE_SD, BIAS_SDS = 0.3, math.radians(10.0), 30.0
+#: The same of how a velocity sensor is described: of its lever arm [m], and its clock [s]. (chosen)
+ARM_M, LATE_S = 2.0, 1.0
+#: The start, or the description of a sensor, is wrong in so many missions [1]. (chosen)
+DESCRIBED_WRONGLY = 0.1
 #: By so much fixes may jump, or the position beside them [m]. (chosen)
 JUMP_M = 100.0
 
@@ -194,6 +198,9 @@ RUN_LEAST = 5
 TURNED_DOWN = 1e-4
 
 # -------------------- sensor bias
+#: A sensor that was right before has led the vehicle so far from its start [m]: one that is described wrongly is
+#: refused when the vehicle first moves off. (chosen)
+WAY_M = 50.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1]. (chosen)
 AT_ONCE = 1.5
 #: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
@@ -202,23 +209,6 @@ AT_ONCE = 1.5
 HELD = 0.25
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1]. (chosen)
 AGAIN = 0.02
-
-# -------------------- velocity evidence
-#: What a velocity may be off by beforehand, as standard deviations: a constant [m/s], a force [m/s^2], a lever
-#: arm [m], a clock [s]. (chosen)
-OFF_M_S, RAMP_M_S2, ARM_M, LATE_S = 0.5, 0.5, 2.0, 1.0
-#: The start, or the description of a sensor, is wrong in so many missions [1]. (chosen)
-DESCRIBED_WRONGLY = 0.1
-#: Log odds of a wrong description against a jump that happens to begin in these ten seconds [nat]: one mission in ten
-#: against once in five hours. (derived)
-JUMP_ODDS = 5.0
-#: The scale of the noise and what is left by an estimate settle in so many rounds [1]. (derived)
-ROUNDS = 8
-#: A sensor that accuses the drive has led the vehicle so far from its start [m]: one that is described wrongly is
-#: refused when the vehicle first moves off. (chosen)
-WAY_M = 50.0
-#: A sensor that was not used for long accuses after so long a time [s], longer than readings are late. (measured)
-LONG_S = 10.0
 
 # -------------------- velocity fault
 #: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so. That the

@@ -22,6 +22,8 @@ from navfilter.kernels.compiling.decorators import UNCOUNTED, flat, njit, scratc
 
 # What is beyond belief is so many times the variance [1], see `navfilter.faults.bias_plausibility`.
 BELIEVED = 16.0
+# A heading that is further off is beyond what is linear: by an eighth, half its square. [rad] (derived)
+LINEAR_RAD = 0.5
 # Times that differ by less are the same [s].
 SAME_S = 1e-7
 # Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
@@ -172,7 +174,7 @@ def readmission(bench, spot, P, nav, x, drv, Cr, C, R):
         limits[0, i] = math.inf
     _corrected(bench, spot, P, nav, x, drv, Cr, C, R, spot[MOVES] != 0 and seen >= 3, flat(limits))
     if spot[BANK]:
-        _note_faults(bench, spot, nav, math.inf, int(0))
+        _note_faults(bench, spot, nav, math.inf, math.nan)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
@@ -327,20 +329,26 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         fault_bank.carry(bank, shaped(mem[: m * m], m, m), int(0))
         if b > 0:
             fault_bank.carry(bank, shaped(mem[m * m : m * m + b * b], b, b), start)
-        _note_faults(bench, spot, foretold, band, int(1))
+        value = 0.0
+        for i in range(min(a, z.size)):
+            value += 0.0 if math.isnan(z[i]) else z[i]
+        _note_faults(bench, spot, foretold, band, value)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def _note_faults(bench, spot, nav, band, counts):
-    """Show the bank of faults the last reading of a channel; counts: 1 where it is evidence if it was used."""
+def _note_faults(bench, spot, nav, band, value):
+    """Show the bank of faults the last reading of a channel; value: the sum of what it reads, NaN where it is
+    no evidence."""
     a, parameters, mem = spot[0], spot[6], bench[spot[MEM] : spot[CONSTANTS]]
     places = kalman.memory_offsets(spot[:8])
     verdict, near = places[8], shaped(mem[places[7] : places[8]], a, 9 + parameters)
     used, time_s = mem[verdict + 2] != 0.0, mem[verdict + 3 + 2 * a + LAST_S]
-    counted, motion = counts != 0 and used, bench[spot[RATE] : spot[RATE] + 6]
-    fault_bank.take_reading(
-        bench[spot[BANK] :], mem, spot, places, near, nav, motion, band, spot[INDEX], time_s, counted, used
-    )
+    dof = int(mem[verdict + 1])
+    limit = bench[spot[LIMITS] + dof] if dof > 0 and mem[verdict] < math.inf else 0.0
+    if spot[NORTH] >= 0 and abs(mem[verdict + 3 + spot[NORTH]]) > LINEAR_RAD:
+        limit = 0.0
+    bank, motion = bench[spot[BANK] :], bench[spot[RATE] : spot[RATE] + 6]
+    fault_bank.take_reading(bank, mem, spot, places, near, nav, motion, band, spot[INDEX], time_s, value, limit, used)
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

@@ -53,12 +53,14 @@ WINDOWS = 6
 # Of each channel: mean square of the sums of its innovations from look to look, in their sd, and mean product of one
 # with the next; from how many looks these are told; readings since the last look, the sums of their axes, and those
 # before, of so many at most; and how much larger than white ones they were before the onset of each window (0: hardly
-# anything was told); and angular rate and specific force at its last reading, and the velocity in b by which slopes go.
+# anything was told); angular rate and specific force at its last reading, and the velocity in b by which slopes go; how
+# much larger H P H' is than R, summed over the readings refused on end, and the sum of the values of the last reading.
 SQUARE, PRODUCT, TOLD, READINGS, SUMS = range(5)
 AXES = 8  # of more the first are summed
 BEFORE = SUMS + 2 * AXES
 THEN = BEFORE + WINDOWS + 1
-HEARD = THEN + 9
+REFUSED, VALUE = THEN + 9, THEN + 10
+HEARD = VALUE + 1
 # Before anything is told an error may be twice as large as described, as by so many looks; it is told by so many looks
 # at most, each of which says no more than so many sds; none is correlated with the next by more than that. (chosen)
 DOUBLED, DOUBTED, MEMORY, MOST, CORRELATED = 4.0, 5.0, 60.0, 10.0, 0.98
@@ -152,20 +154,28 @@ def description_slope(component, nav, velocity, motion, output):
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)
-def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, counts, used):
+def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, value, limit, used):
     """A reading as the filter left it in its channel's memory.
 
     dims, at: see `kalman.memory_offsets`; near (a, 9 + parameters): its Jacobian; nav: the state as foretold; motion
     (6,): angular rate and specific force in b; band: see `consistency.velocity_band`; channel: its place among all;
-    counts: whether its innovation is evidence; used: whether it corrected the state.
+    value: the sum of what it reads, NaN where that is no evidence; limit: of its gate, 0 where that is shut; used:
+    whether it corrected the state.
 
     Slopes go by rate and force of the reading before, and rate and velocity are held within what is known of them.
     Those of now err as the innovation does, which would then show every scale, arm and clock a little (errors in
-    variables: Fuller, 1987, sec. 1.1); and what noise a rate had then is in the state, by the lever arm.
+    variables: Fuller, 1987, sec. 1.1); and what noise a rate had then is in the state, by the lever arm. One that its
+    gate has refused is off by more than that.
     """
     a, n, columns = dims[0], dims[1], width(bank)
     first, begin, score, information, more, heard, room = places(bank)
     own = bank[heard + channel * HEARD :][:HEARD]
+    counts = not math.isnan(value)
+    if counts and not used:
+        counts = limit > 0.0 and value != own[VALUE] and _errs(bank, channel)
+        if counts and own[REFUSED] == 0.0 and likeliest(bank, int(0), time_s) < 0.0:
+            begin_window(bank, int(0), time_s)  # it is when readings are refused first that faults may have begun
+    own[VALUE] = own[VALUE] if math.isnan(value) else value
     table, D = bank[first:begin].reshape((-1, TABLE)), shaped(bank[begin:score], n, columns)
     G = shaped(bank[room : room + a * columns], a, columns)
     Z = shaped(bank[room + a * columns :][: a * columns], a, columns)
@@ -192,7 +202,7 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
             for j in range(3):
                 slopes[k, j] = velocity[j] if kind == SCALE else -1.0 if j == place else 0.0
             if kind == DESCRIBED:
-                description_slope(place, nav, velocity, own[THEN:], slopes[k])
+                description_slope(place, nav, velocity, own[THEN:] if used else motion, slopes[k])
     for i in range(a):
         row, seen = G[i], not math.isnan(mem[iv + 3 + a + i])
         if not seen:
@@ -218,15 +228,20 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
     for i in range(3):
         own[THEN + i] = consistency.held_slope(motion[i], own[THEN + i], consistency.HELD * bank[RATE_SD])
         own[THEN + 3 + i] = motion[3 + i]
+    weight = 1.0
+    if used:
+        own[REFUSED] = 0.0
+    elif counts:
+        weight = math.sqrt(_refused(own, mem, dims, at, limit))
     if counts:
         now, scaled = larger(own), shaped(bank[room + 2 * a * columns :], a, columns)
         own[READINGS] += 1.0
         for i in range(a):
             weighted(mem[iS + (a + i) * a : iS + (a + i + 1) * a], G, Z[i])
             if i < AXES and not math.isnan(mem[iv + 3 + a + i]):
-                own[SUMS + i] += mem[iv + 3 + i] / math.sqrt(mem[iv + 3 + a + i])
+                own[SUMS + i] += weight * mem[iv + 3 + i] / math.sqrt(mem[iv + 3 + a + i])
             for w in range(WINDOWS + 1):
-                share = 1.0 / math.sqrt(own[BEFORE + w] if own[BEFORE + w] > 0.0 else now)
+                share = weight / math.sqrt(own[BEFORE + w] if own[BEFORE + w] > 0.0 else now)
                 begins, ends, column = signatures_of(bank, w)
                 for k in range(column, column + ends - begins):
                     Z[i, k] *= share
@@ -242,6 +257,36 @@ def take_reading(bank, mem, dims, at, near, nav, motion, band, channel, time_s, 
             symmetric.copy(D[j], before)
             less_half(before, few, G, D[j])
         _turn(D, mem[at[4] : at[5]])
+
+
+@njit(cache=True, **UNCOUNTED)
+def _errs(bank, channel):
+    """Whether a sensor has signatures of its own: what nothing else explains is its error then."""
+    first, found = places(bank)[0], False
+    for k in range(int(bank[SIGNATURES])):
+        found |= bank[first + k * TABLE + CHANNEL] == channel
+    return found
+
+
+@njit(cache=True, **UNCOUNTED)
+def _refused(own, mem, dims, at, limit):
+    """What a reading that its gate has refused counts for [1].
+
+    A gross error is likelier than what is beyond the gate: its variance is what the gate would let by (Huber, 1964).
+    And it corrects nothing, so those that follow are off by the same error of the state: n of them, of variance R each,
+    know no more than n / (R + n H P H') together.
+    """
+    a, n, known = dims[0], dims[1], 0.0
+    beyond = max(mem[at[8]] / limit, 1.0)
+    for i in range(a):
+        S = mem[at[8] + 3 + a + i]
+        if not math.isnan(S):
+            seen = 0.0
+            for j in range(n):
+                seen += mem[at[6] + i * n + j] * mem[at[0] + i * n + j]
+            known = max(known, seen / max(beyond * S - seen, 1e-300))
+    own[REFUSED] += known
+    return (1.0 + known) / ((1.0 + own[REFUSED]) * (1.0 + own[REFUSED] - known) * beyond)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -311,6 +356,18 @@ def judged(bank, window, k, time_s, out):
         spread += by[2, i] ** 2
     out[1], out[2] = math.hypot(north, east), math.sqrt(0.5 * (a + e) + math.hypot(0.5 * (a - e), b))
     out[3], out[4] = abs(turned), math.sqrt(spread)
+
+
+@njit(apart=True, cache=True, **UNCOUNTED)
+def likeliest(bank, window, time_s):
+    """Log odds of the likeliest fault of a window [nat]."""
+    best, first, out = -math.inf, places(bank)[0], flat(scratch(np.float64, int(1), int(5)))
+    begins, ends, _ = signatures_of(bank, window)
+    for k in range(begins, ends):
+        if bank[first + k * TABLE + TOGETHER] > 0.0:
+            judged(bank, window, k, time_s, out)
+            best = max(best, out[0])
+    return best
 
 
 @njit(apart=True, cache=True, **UNCOUNTED)

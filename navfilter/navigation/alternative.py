@@ -20,7 +20,7 @@ from navfilter.faults import policy, settings
 from navfilter.faults.alternative_path import followed, full_residual
 from navfilter.faults.lane_selection import LaneChoice, LaneChoiceMemory
 from navfilter.faults.monitor import FaultMonitor
-from navfilter.faults.velocity_evidence import was_right
+from navfilter.faults.sensor_bias import was_right
 from navfilter.filter.actions import Fold, Inflate
 from navfilter.filter.events import Correction, Event, Listening, Measurement, UnitDoubted
 from navfilter.filter.filter import Filter
@@ -187,6 +187,8 @@ class Alternative:
             if suspects and self.subset.memory is None:
                 self.subset.begin(copied(self._main.memory), suspects)
             self._note()
+        elif self._beside == NO_FORCES and self._doubts_gyros(doubt):
+            self._leave_out(NO_UNIT, doubt.since_s)
         self._refused_s = self._main.time_s
         if doubt.told:
             self._choice.memory.lane, self._choice.memory.doubted[WITH_UNIT] = self._beside, 1.0
@@ -239,7 +241,7 @@ class Alternative:
         )
         memory.monitor.imu[:] = given.monitor.imu
         for kept in memory.monitor.channels.values():
-            kept.rejected_since_s, kept.refused, kept.evidence, kept.way = math.nan, None, None, None
+            kept.rejected_since_s, kept.refused, kept.way = math.nan, None, None
         self._filter.restore(memory)
 
     def adopt(self, change: Change) -> None:

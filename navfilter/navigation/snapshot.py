@@ -33,7 +33,7 @@ from navfilter.models.start import Start
 from navfilter.models.vehicle import Vehicle
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 31
+FORMAT = 32
 #: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.
 LARGEST = 256 << 20
 
