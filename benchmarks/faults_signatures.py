@@ -73,6 +73,9 @@ def broken(signature: Signature, size: float, mission: Mission, nav: Navigator, 
         by = grown if kind in fault_bank.GROWING else on
         if kind in (kernel.STEP, kernel.RAMP):
             value[:, place] += s * by
+        elif kind == kernel.STATE and place < 9:  # a shock of one sample, which steps the velocity
+            k = int(np.argmax(on))
+            value[k, 3:6] += s * watched.truth_at(truth, FAULT_S).C_nb[place - 3] / np.diff(stream.time_s)[k]
         elif kind in (kernel.STATE, kernel.DRIFT):
             drive = nav.filter.layout.drive
             axis = next(i for i, at in enumerate(drive.biases) if place - drive.start in at)
