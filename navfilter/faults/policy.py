@@ -35,7 +35,6 @@ from navfilter.filter.events import UnitDoubted
 from navfilter.filter.model_change import Change
 from navfilter.filter.monitor import Actions, FilterState
 from navfilter.filter.sensor_channel import Channel
-from navfilter.foundation.constants import STANDARD_GRAVITY
 from navfilter.kernels.fault_bank import BELIEVED, GONE
 from navfilter.models.fault_bias import descriptions, with_offsets
 from navfilter.models.sensors.observable import Observable
@@ -123,8 +122,6 @@ def _unit_blamed(filter: FilterState, channel: Channel, reading: Rejected) -> Ac
     if channel.offset:
         kept.aside, kept.odds = None, 0.0
         filter.monitor.changes.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
-    yield Inflate(range(6, 8), range(6, 8), (off / refused_s / STANDARD_GRAVITY) ** 2)
-    filter.monitor.is_tilted = True
     yield Announce(UnitDoubted(kept.rejected_since_s - channel.period_s, doubted, told=True))
     return False
 

@@ -337,8 +337,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
 
 @njit(apart=True, cache=True, **UNCOUNTED)
 def _note_faults(bench, spot, nav, band, value):
-    """Show the bank of faults the last reading of a channel; value: the sum of what it reads, NaN where it is
-    no evidence."""
+    """Show the bank of faults the last reading of a channel; value: the sum of what it reads, NaN for no evidence."""
     a, parameters, mem = spot[0], spot[6], bench[spot[MEM] : spot[CONSTANTS]]
     places = kalman.memory_offsets(spot[:8])
     verdict, near = places[8], shaped(mem[places[7] : places[8]], a, 9 + parameters)
